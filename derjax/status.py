@@ -1,0 +1,43 @@
+"""How a run ended: an integer inside compiled code, a sentence outside of it."""
+
+import enum
+
+
+class Status(enum.IntEnum):
+    """Outcome of a step; a rollout keeps the first that is not `OK` and freezes there."""
+
+    OK = 0
+    MAX_ITERATIONS = 1
+    LINE_SEARCH = 2
+    NON_FINITE = 3
+
+
+class SolverError(RuntimeError):
+    """A rollout that could not be completed; the message says when, how, and what to try."""
+
+
+_WHAT = {
+    Status.MAX_ITERATIONS: "Newton's method did not converge in the allowed number of iterations",
+    Status.LINE_SEARCH: "the line search of Newton's method found no step that lowers the residual",
+    Status.NON_FINITE: "Newton's method met a value that is not finite",
+}
+
+_TRY = {
+    Status.MAX_ITERATIONS: "a smaller [time] step, or a slower motor",
+    Status.LINE_SEARCH: "a smaller [time] step; the rod may be buckling or turning too far in one",
+    Status.NON_FINITE: "a smaller [time] step, and for scheme = 'explicit' the implicit scheme",
+}
+
+
+def explain(status: int, time: float, residual: float) -> str:
+    """A sentence on a failed step: what happened, when, with what residual, what to try.
+
+    `time` is the start of the failed step (s); `residual` the largest scaled force left.
+    """
+    code = Status(status)
+    if code is Status.OK:
+        return "every step converged"
+    return (
+        f"the step that starts at t = {time:.6g} s failed: {_WHAT[code]} "
+        f"(scaled residual {residual:.2e}). Try {_TRY[code]}."
+    )

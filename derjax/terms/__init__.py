@@ -1,0 +1,13 @@
+"""The physical ingredients, one file each. `derjax.scene` is their registry."""
+
+from .bend import Bend as Bend
+from .gravity import Gravity as Gravity
+from .head import HeadDrag as HeadDrag
+from .inertia import Inertia as Inertia
+from .lagged import Lagged as Lagged
+from .resistive import ResistiveDrag as ResistiveDrag
+from .stokeslets import StokesletSegments as StokesletSegments
+from .stretch import Stretch as Stretch
+from .term import Interval as Interval
+from .term import Term as Term
+from .twist import Twist as Twist

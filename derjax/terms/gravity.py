@@ -1,0 +1,26 @@
+"""Weight less buoyancy."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..potential import Load
+from ..pytree import pytree
+from ..rod import Rod, State
+from .term import Interval
+
+
+@pytree
+class Gravity:
+    """`E = - sum over nodes of m g . x`, with m the mass less that of the displaced fluid.
+
+    Attributes:
+        buoyant_mass: (n,) kg.
+        acceleration: (3,) m/s^2.
+    """
+
+    buoyant_mass: Float[Array, " n"]
+    acceleration: Float[Array, " 3"]
+
+    def contribution(self, rod: Rod, state: State, interval: Interval) -> Load:
+        weight = self.buoyant_mass[:, None] * self.acceleration
+        return Load(jnp.concatenate([weight.ravel(), jnp.zeros(rod.topology.n_edges)]))

@@ -1,0 +1,82 @@
+"""Resistive force theory: local, anisotropic drag."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..geometry import dot, unit
+from ..potential import Elements
+from ..pytree import Indices, pytree
+from ..rod import Rod, State, positions
+from .term import Interval
+
+
+def gray_hancock(
+    viscosity: Array, pitch: Array, rod_radius: Array, helix_radius: Array
+) -> tuple[Array, Array]:
+    """Drag per length (Pa s) along and across a slender helix (Gray & Hancock 1955)."""
+    del helix_radius
+    ratio = jnp.log(2.0 * pitch / rod_radius)
+    return (
+        2.0 * jnp.pi * viscosity / (ratio - 0.5),
+        4.0 * jnp.pi * viscosity / (ratio + 0.5),
+    )
+
+
+def lighthill(
+    viscosity: Array, pitch: Array, rod_radius: Array, helix_radius: Array
+) -> tuple[Array, Array]:
+    """Drag per length (Pa s) along and across a slender helix (Lighthill 1976).
+
+    The length scale is 0.18 of the contour of one turn, pitch / cos(helix angle).
+    """
+    turn = jnp.sqrt(pitch**2 + (2.0 * jnp.pi * helix_radius) ** 2)
+    ratio = jnp.log(0.18 * turn / rod_radius)
+    return 2.0 * jnp.pi * viscosity / ratio, 4.0 * jnp.pi * viscosity / (ratio + 0.5)
+
+
+def dissipation(local: Float[Array, " 3"], data: tuple[Array, Array, Array, Array, Array]) -> Array:
+    """h Phi of one node (J)."""
+    old, tangent, parallel, normal, h = data
+    displacement = local - old
+    along = dot(displacement, tangent)
+    return 0.5 / h * (normal * dot(displacement, displacement) + (parallel - normal) * along**2)
+
+
+@pytree
+class ResistiveDrag:
+    """`Phi = sum over nodes of l/2 v . (zeta_par t t + zeta_perp (1 - t t)) v`.
+
+    Tangents are taken at the start of the step.
+
+    Attributes:
+        parallel: drag per length along the rod, Pa s.
+        normal: drag per length across the rod, Pa s.
+    """
+
+    parallel: Float[Array, ""]
+    normal: Float[Array, ""]
+
+    def contribution(self, rod: Rod, state: State, interval: Interval) -> Elements:
+        topology = rod.topology
+        x = positions(topology, state.q)
+        nodes, tangent, length = [], [], []
+        for path in topology.filaments:
+            edge = x[np.array(path[1:])] - x[np.array(path[:-1])]
+            half = 0.5 * jnp.sqrt(dot(edge, edge))
+            nodes += path
+            length.append(jnp.pad(half, (0, 1)) + jnp.pad(half, (1, 0)))
+            direction = unit(edge)
+            tangent.append(
+                unit(jnp.pad(direction, ((0, 1), (0, 0))) + jnp.pad(direction, ((1, 0), (0, 0))))
+            )
+        dofs = topology.node_dofs(nodes)
+        weight = jnp.concatenate(length)
+        data = (
+            state.q[dofs],
+            jnp.concatenate(tangent),
+            self.parallel * weight,
+            self.normal * weight,
+            jnp.broadcast_to(interval.length, weight.shape),
+        )
+        return Elements(Indices(dofs), dissipation, data)

@@ -1,0 +1,167 @@
+"""Slender filaments in Stokes flow: regularized Stokeslet segments.
+
+The flow of a straight segment that carries a force density linear along it, each point force
+spread by the blob 15 eps^4 / (8 pi (r^2 + eps^2)^(7/2)), is known in closed form (Cortez,
+Phys. Rev. Fluids 3, 2018). For a segment from y0 to y1 with v = y0 - y1, x0 = x - y0,
+R(a)^2 = |x0 + a v|^2 + eps^2 and the moments T_mq = int_0^1 a^m R^-q da,
+
+    8 pi mu u(x) = L (M1 f0 + M2 f1),
+    M2 = (T11 + eps^2 T13) I + T13 x0 x0 + T23 (x0 v + v x0) + T33 v v,
+    M1 = (T01 + eps^2 T03) I + T03 x0 x0 + T13 (x0 v + v x0) + T23 v v - M2.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..potential import Quadratic
+from ..pytree import Indices, pytree, static
+from ..rod import Rod, State, positions
+from .term import Interval
+
+
+class Moments(NamedTuple):
+    """T_mq = int_0^1 a^m R(a)^-q da of a segment, in the units of R^-q."""
+
+    t01: Array
+    t03: Array
+    t11: Array
+    t13: Array
+    t23: Array
+    t33: Array
+
+
+def moments(r0: Array, r1: Array, length_squared: Array, x0_v: Array) -> Moments:
+    """The moments of a segment from R at its two ends, |v|^2 and x0 . v.
+
+    T01 and T03 are written with R0 + R1 and R0 R1, which (unlike the textbook differences of
+    logarithms and of inverses) keep their digits when x is in line with the segment; the
+    others follow by integration by parts.
+    """
+    length = jnp.sqrt(length_squared)
+    sum_, inverse0, inverse1 = r0 + r1, 1.0 / r0, 1.0 / r1
+    t01 = 2.0 / length * jnp.arctanh(length / sum_)
+    t03 = 2.0 * sum_ * inverse0 * inverse1 / ((sum_ - length) * (sum_ + length))
+    t11 = (r1 - r0 - x0_v * t01) / length_squared
+    t13 = (inverse0 - inverse1 - x0_v * t03) / length_squared
+    t23 = (t01 - inverse1 - x0_v * t13) / length_squared
+    t33 = (2.0 * t11 - inverse1 - x0_v * t23) / length_squared
+    return Moments(t01, t03, t11, t13, t23, t33)
+
+
+def segment_kernels(
+    targets: Float[Array, "n 3"],
+    starts: Float[Array, "s 3"],
+    ends: Float[Array, "s 3"],
+    regularization: Array,
+) -> tuple[Float[Array, "3 3 n s"], Float[Array, "3 3 n s"]]:
+    """The kernels M1 and M2 (1/m) of every segment at every target."""
+    v = (starts - ends).T[:, None, :]
+    x0 = targets.T[:, :, None] - starts.T[:, None, :]
+    length_squared = jnp.sum(v * v, axis=0)
+    x0_v = jnp.sum(x0 * v, axis=0)
+    squared = jnp.sum(x0 * x0, axis=0) + regularization**2
+    r0 = jnp.sqrt(squared)
+    r1 = jnp.sqrt(squared + 2.0 * x0_v + length_squared)
+    t = moments(r0, r1, length_squared, x0_v)
+    x0_x0, v_v = x0[:, None] * x0, v[:, None] * v
+    x0_v_tensor = x0[:, None] * v + v[:, None] * x0
+    identity = jnp.eye(3)[:, :, None, None]
+    isotropic1 = t.t01 + regularization**2 * t.t03
+    isotropic2 = t.t11 + regularization**2 * t.t13
+    m2 = isotropic2 * identity + t.t13 * x0_x0 + t.t23 * x0_v_tensor + t.t33 * v_v
+    m1 = isotropic1 * identity + t.t03 * x0_x0 + t.t13 * x0_v_tensor + t.t23 * v_v - m2
+    return m1, m2
+
+
+def mobility(
+    filaments: tuple[Float[Array, "_ 3"], ...],
+    viscosity: Array,
+    regularization: Array,
+    end_nodes: str,
+) -> Float[Array, "3m 3m"]:
+    """Matrix (m/(N s)) that takes forces on the nodes of `filaments` to their velocities.
+
+    Args:
+        filaments: the nodes (m) of each filament, in order.
+        viscosity: Pa s.
+        regularization: eps, m.
+        end_nodes: how a nodal force becomes a force density. "half": by the length of rod
+            that the node stands for, half a segment at the two ends. "full": by the length
+            of one segment everywhere, as published codes have it; it gives the end nodes
+            twice the length that they stand for.
+    """
+    targets = jnp.concatenate(filaments)
+    columns = []
+    for nodes in filaments:
+        m1, m2 = segment_kernels(targets, nodes[:-1], nodes[1:], regularization)
+        if end_nodes == "half":
+            edge = nodes[1:] - nodes[:-1]
+            length = jnp.sqrt(jnp.sum(edge * edge, axis=1))
+            m1, m2 = length * m1, length * m2
+        pad = ((0, 0), (0, 0), (0, 0))
+        column = jnp.pad(m1, (*pad, (0, 1))) + jnp.pad(m2, (*pad, (1, 0)))
+        if end_nodes == "half":
+            column = column / (0.5 * (jnp.pad(length, (0, 1)) + jnp.pad(length, (1, 0))))
+        columns.append(column)
+    matrix = jnp.concatenate(columns, axis=-1) / (8.0 * jnp.pi * viscosity)
+    size = 3 * targets.shape[0]
+    return matrix.transpose(2, 0, 3, 1).reshape(size, size)
+
+
+@pytree
+class StokesletSegments:
+    """`Phi = 1/2 v . R v`: non-local drag of all filaments on each other.
+
+    The mobility A (velocities from forces, by collocation at the nodes) is not quite
+    symmetric, as the exact one is. `drag_matrix` says what is made of it:
+
+    - "symmetric": R is the symmetric part of A^-1, a true dissipation potential;
+    - "collocation": R = A^-1, which has no potential;
+    - "lower_triangle": R = B^-1, with B the symmetric matrix that shares the lower triangle
+      of A: what codes compute that hand A to a Cholesky or LDL^T solver.
+
+    Attributes:
+        viscosity: Pa s.
+        regularization: eps, m.
+        solved: node paths that take part in the solve.
+        dragged: nodes among them on which the force acts; forces on the others are dropped.
+    """
+
+    viscosity: Float[Array, ""]
+    regularization: Float[Array, ""]
+    solved: tuple[tuple[int, ...], ...] = static()
+    dragged: tuple[int, ...] = static()
+    end_nodes: str = static(default="half")
+    drag_matrix: str = static(default="symmetric")
+
+    @property
+    def nodes(self) -> np.ndarray:
+        """The nodes that take part in the solve."""
+        return np.concatenate([np.array(path) for path in self.solved])
+
+    @property
+    def symmetric(self) -> bool:
+        everywhere = set(self.dragged) == {n for path in self.solved for n in path}
+        return everywhere and self.drag_matrix != "collocation"
+
+    def resistance(self, x: Float[Array, "n 3"]) -> Float[Array, "3m 3m"]:
+        """Matrix R (N s/m) that takes velocities of the solved nodes to the drag on them."""
+        filaments = tuple(x[np.array(path)] for path in self.solved)
+        a = mobility(filaments, self.viscosity, self.regularization, self.end_nodes)
+        if self.drag_matrix == "lower_triangle":
+            a = jnp.tril(a) + jnp.tril(a, -1).T
+        r = jnp.linalg.inv(a)
+        if self.drag_matrix == "symmetric":
+            r = 0.5 * (r + r.T)
+        if len(self.dragged) < len(self.nodes):
+            acts = np.isin(self.nodes, self.dragged).astype(float)
+            r = jnp.repeat(acts, 3)[:, None] * r
+        return r
+
+    def contribution(self, rod: Rod, state: State, interval: Interval) -> Quadratic:
+        matrix = self.resistance(positions(rod.topology, state.q)) / interval.length
+        dofs = Indices(rod.topology.node_dofs(self.nodes).ravel())
+        return Quadratic(dofs, self.symmetric, matrix, state.q)

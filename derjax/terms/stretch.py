@@ -1,0 +1,30 @@
+"""Stretching energy."""
+
+from jaxtyping import Array, Float
+
+from ..geometry import norm
+from ..potential import Elements
+from ..pytree import pytree
+from ..rod import Rod, State
+from .term import Interval
+
+
+def energy(local: Float[Array, " 6"], data: tuple[Array, Array]) -> Array:
+    """1/2 EA l (|e|/l - 1)^2 of one edge (J); Bergou et al. 2010, eq. 5."""
+    stiffness, length = data
+    strain = norm(local[3:] - local[:3]) / length - 1.0
+    return 0.5 * stiffness * length * strain**2
+
+
+@pytree
+class Stretch:
+    """`E = sum over edges of 1/2 EA l (|e|/l - 1)^2`.
+
+    Attributes:
+        stiffness: (e,) EA in N.
+    """
+
+    stiffness: Float[Array, " e"]
+
+    def contribution(self, rod: Rod, state: State, interval: Interval) -> Elements:
+        return Elements(rod.topology.edge_stencil, energy, (self.stiffness, rod.rest_length))

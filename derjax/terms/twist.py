@@ -1,0 +1,40 @@
+"""Twisting energy; the motors work through its natural twist."""
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..hinge import HingeFrames, hinge_frames, strains
+from ..potential import Elements
+from ..pytree import pytree
+from ..rod import Rod, State
+from .term import Interval
+
+
+def energy(
+    local: Float[Array, " 11"], data: tuple[HingeFrames, Array, Array, Array]
+) -> Float[Array, ""]:
+    """1/2 GJ (twist - natural twist)^2 / l of one hinge (J); Bergou et al. 2010, eq. 7."""
+    frames, stiffness, natural, length = data
+    _, twist = strains(local, frames)
+    return 0.5 * stiffness / length * (twist - natural) ** 2
+
+
+@pytree
+class Twist:
+    """`E = sum over hinges of 1/2 GJ (theta_1 - theta_0 + m_ref - natural_twist)^2 / l`.
+
+    At the driven hinges the natural twist is that of the rest shape plus the motor's angle
+    at the end of the step.
+
+    Attributes:
+        stiffness: (b,) GJ in N m^2.
+    """
+
+    stiffness: Float[Array, " b"]
+
+    def contribution(self, rod: Rod, state: State, interval: Interval) -> Elements:
+        natural = rod.natural_twist
+        if rod.topology.motors:
+            natural = natural.at[np.array(rod.topology.motors)].add(interval.motor_angle)
+        data = (hinge_frames(rod, state), self.stiffness, natural, rod.hinge_length)
+        return Elements(rod.topology.hinge_stencil, energy, data)
