@@ -75,5 +75,3 @@ def factor(matrix: Matrix, symmetric: bool) -> Factor:
 
     lower = lax.linalg.cholesky(matrix, symmetrize_input=False)
     return Cholesky(lax.while_loop(indefinite, retry, (lower, jnp.zeros(())))[0])
-
-

@@ -34,7 +34,5 @@ class Motor:
 
     def rate_at(self, time: Float[Array, " t"]) -> Float[Array, "t k"]:
         """Rate (rad/s) of every motor at some times (s)."""
-        columns = [
-            jnp.interp(time, self.time, self.rate[:, k]) for k in range(self.rate.shape[1])
-        ]
+        columns = [jnp.interp(time, self.time, self.rate[:, k]) for k in range(self.rate.shape[1])]
         return jnp.stack(columns, axis=-1)

@@ -20,8 +20,10 @@ from jaxtyping import Array, Float, Int
 
 from .linear import factor
 from .potential import Dofs, Potential
-from .pytree import pytree, static
+from .pytree import pytree, replace, static
 from .status import Status
+
+_SEARCHING = -1
 
 
 @pytree
@@ -29,17 +31,14 @@ class NewtonSettings:
     """When to stop.
 
     Attributes:
-        tolerance: the largest scaled residual of a solution.
+        tolerance: the largest scaled residual of a solution, unless round-off is larger.
         force_scale: (d,) N and N m, what the residual is measured in.
-        round_off: (d,) scaled residual per unit of a coordinate that rounding it causes, in
-            units of the machine epsilon; the tolerance never goes below it.
         max_iterations: Newton steps.
         max_halvings: of a Newton step, in the line search.
     """
 
     tolerance: Float[Array, ""]
     force_scale: Dofs
-    round_off: Dofs
     max_iterations: int = static(default=40)
     max_halvings: int = static(default=12)
 
@@ -54,11 +53,16 @@ class NewtonInfo:
 
 
 @pytree
-class _Iterate:
+class _Search:
+    """A point, the Newton direction there, and the part of it that is tried next."""
+
     q: Dofs
     value: Array
     gradient: Dofs
     residual: Array
+    direction: Dofs
+    length: Array
+    tolerance: Array
     iterations: Array
     status: Array
 
@@ -81,63 +85,74 @@ def equilibrium(
     """
     symmetric = potential.symmetric
     chosen = slice(None) if free is None else np.array(free)
-    epsilon = jnp.finfo(guess.dtype).eps
-    floor = 16.0 * epsilon * jnp.max(settings.round_off * jnp.abs(guess))
-    tolerance = jnp.maximum(settings.tolerance, floor)
+    shortest = 0.5**settings.max_halvings
 
-    def measure(gradient):
-        return jnp.max(jnp.abs((gradient / settings.force_scale)[chosen]))
+    def scaled(force):
+        return jnp.max((jnp.abs(force) / settings.force_scale)[chosen])
 
-    def evaluate(q):
+    def newton_direction(q, gradient):
+        matrix = potential.hessian(q)
+        # No residual can be smaller than what rounding the coordinates alone makes of it.
+        rounding = 4.0 * jnp.finfo(q.dtype).eps * scaled(jnp.diagonal(matrix) * q)
+        matrix = matrix[chosen][:, chosen]
+        step = -factor(matrix, symmetric).solve(gradient[chosen])
+        direction = step if free is None else jnp.zeros_like(q).at[chosen].set(step)
+        return direction, jnp.maximum(settings.tolerance, rounding)
+
+    # One loop for Newton's steps and for halving them, so that the potential, its gradient
+    # and its Hessian each stand at one place in the program: they are what compiling costs.
+    def advance(now: _Search) -> _Search:
+        q = now.q + now.length * now.direction
         gradient = potential.gradient(q)
-        value = potential.value(q) if symmetric else jnp.zeros(())
-        return value, gradient, measure(gradient)
-
-    def search(now, direction):
-        """Halve the step until it lowers the residual or, sufficiently, the potential."""
-        slope = direction @ now.gradient
-
-        def trial(length):
-            q = now.q + length * direction
-            return q, *evaluate(q)
-
-        def rejected(carry):
-            length, halvings, (_, value, _, residual) = carry
-            lower = residual <= (1.0 - 1e-4 * length) * now.residual
-            if symmetric:
-                lower |= (slope < 0) & (value <= now.value + 1e-4 * length * slope)
-            return ~lower & (halvings < settings.max_halvings)
-
-        def halve(carry):
-            length, halvings, _ = carry
-            return 0.5 * length, halvings + 1, trial(0.5 * length)
-
-        one = jnp.ones(())
-        return lax.while_loop(rejected, halve, (one, 0, trial(one)))[1:]
-
-    def iterate(now: _Iterate) -> _Iterate:
-        matrix = potential.hessian(now.q)[chosen][:, chosen]
-        step = -factor(matrix, symmetric).solve(now.gradient[chosen])
-        direction = step if free is None else jnp.zeros_like(now.q).at[chosen].set(step)
-        halvings, (q, value, gradient, residual) = search(now, direction)
-        status = jnp.where(halvings >= settings.max_halvings, Status.LINE_SEARCH, Status.OK)
-        status = jnp.where(jnp.isfinite(residual), status, Status.NON_FINITE)
-        return _Iterate(q, value, gradient, residual, now.iterations + 1, status.astype(jnp.int32))
-
-    def unfinished(now: _Iterate):
-        return (
-            (now.residual > tolerance)
-            & (now.status == Status.OK)
-            & (now.iterations < settings.max_iterations)
+        residual = scaled(gradient)
+        accepted = residual <= (1.0 - 1e-4 * now.length) * now.residual
+        value = now.value
+        if symmetric:
+            value = potential.value(q)
+            slope = now.direction @ now.gradient
+            accepted |= (slope < 0) & (value <= now.value + 1e-4 * now.length * slope)
+        finite = jnp.isfinite(residual)
+        accepted &= finite
+        solved = accepted & (residual <= now.tolerance)
+        count = now.iterations + 1
+        direction, tolerance = lax.cond(
+            accepted & ~solved,
+            lambda: newton_direction(q, gradient),
+            lambda: (now.direction, now.tolerance),
         )
+        # Near the solution rounding may leave no step that lowers the residual any further.
+        stalled = now.residual <= 100.0 * now.tolerance
+        status = jnp.select(
+            [
+                solved,
+                accepted & (count > settings.max_iterations),
+                accepted | (now.length > shortest),
+                stalled,
+                finite,
+            ],
+            [Status.OK, Status.MAX_ITERATIONS, _SEARCHING, Status.OK, Status.LINE_SEARCH],
+            Status.NON_FINITE,
+        )
+        one = jnp.ones(())
+        here = _Search(q, value, gradient, residual, direction, one, tolerance, count, status)
+        shorter = replace(now, length=0.5 * now.length, status=status)
+        return jax.tree.map(lambda a, b: jnp.where(accepted, a, b), here, shorter)
 
-    zero = jnp.zeros((), jnp.int32)
-    end = lax.while_loop(unfinished, iterate, _Iterate(guess, *evaluate(guess), zero, zero))
-    status = jnp.where(
-        (end.status == Status.OK) & (end.residual > tolerance), Status.MAX_ITERATIONS, end.status
+    infinite = jnp.array(jnp.inf, guess.dtype)
+    start = _Search(
+        q=guess,
+        value=infinite,
+        gradient=jnp.zeros_like(guess),
+        residual=infinite,
+        direction=jnp.zeros_like(guess),
+        length=jnp.ones(()),
+        tolerance=settings.tolerance,
+        iterations=jnp.array(-1),  # the first evaluation, at the guess, is not a Newton step
+        status=jnp.array(_SEARCHING),
     )
-    status = jnp.where(jnp.isfinite(end.residual), status, Status.NON_FINITE)
-    return end.q, NewtonInfo(status.astype(jnp.int32), end.iterations, end.residual)
+    end = lax.while_loop(lambda now: now.status == _SEARCHING, advance, start)
+    info = NewtonInfo(end.status.astype(jnp.int32), jnp.maximum(end.iterations, 0), end.residual)
+    return end.q, info
 
 
 @equilibrium.defjvp
@@ -149,9 +164,7 @@ def _equilibrium_jvp(free, primals, tangents):
     chosen = slice(None) if free is None else np.array(free)
     # Clamped degrees of freedom follow the guess; the others follow from F = 0.
     clamped = jnp.zeros_like(q) if free is None else d_guess.at[chosen].set(0.0)
-    _, d_gradient = jax.jvp(
-        lambda p, y: p.gradient(y), (potential, q), (d_potential, clamped)
-    )
+    _, d_gradient = jax.jvp(lambda p, y: p.gradient(y), (potential, q), (d_potential, clamped))
     matrix = potential.hessian(q)[chosen][:, chosen]
     solver = factor(matrix, potential.symmetric)
     step = lax.custom_linear_solve(

@@ -12,7 +12,8 @@ The step knows nothing of physics: it finds where the gradient of the sum vanish
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -24,29 +25,72 @@ Dofs = Float[Array, " d"]
 Matrix = Float[Array, "d d"]
 
 
+class LocalPotential(Protocol):
+    """A scalar function (J) of the few degrees of freedom of one element."""
+
+    def __call__(self, local: Array, data: Any) -> Array: ...
+
+    def gradient(self, local: Array, data: Any) -> Array: ...
+
+    def hessian(self, local: Array, data: Any) -> Array: ...
+
+    @classmethod
+    def together(cls, parts: Sequence[tuple[Any, Any]]) -> tuple["LocalPotential", Any]:
+        """One potential, and its data, for the sum of several (potential, data)."""
+        ...
+
+
+class Sum(tuple):
+    """A sum of functions whose last argument is a tuple of data, one for each of them."""
+
+    def __call__(self, *arguments: Any) -> Array:
+        *shared, data = arguments
+        return jnp.asarray(sum(f(*shared, d) for f, d in zip(self, data, strict=True)))
+
+
+@dataclass(frozen=True)
+class Autodiff:
+    """A scalar function with the derivatives that JAX finds."""
+
+    function: Callable[[Array, Any], Array]
+
+    def __call__(self, local: Array, data: Any) -> Array:
+        return self.function(local, data)
+
+    def gradient(self, local: Array, data: Any) -> Array:
+        return jax.grad(self.function)(local, data)
+
+    def hessian(self, local: Array, data: Any) -> Array:
+        return jax.hessian(self.function)(local, data)
+
+    @classmethod
+    def together(cls, parts: Sequence[tuple["Autodiff", Any]]) -> tuple["Autodiff", Any]:
+        return cls(Sum(p.function for p, _ in parts)), tuple(data for _, data in parts)
+
+
 @pytree
 class Elements:
-    """`sum_b potential(q[dofs[b]], data[b])`, with `potential` a scalar function of JAX.
+    """`sum_b potential(q[dofs[b]], data[b])`.
 
     Attributes:
         dofs: (b, k) degrees of freedom that each element sees.
-        potential: `(local (k,), data) -> scalar` in J.
+        potential: `(local (k,), data) -> scalar` in J, with its derivatives.
         data: pytree of arrays with leading axis b.
     """
 
     dofs: Indices = static()
-    potential: Callable[[Array, Any], Array] = static()
+    potential: LocalPotential = static()
     data: Any
 
     def value(self, q: Dofs) -> Array:
         return jnp.sum(jax.vmap(self.potential)(q[self.dofs.array], self.data))
 
     def gradient(self, q: Dofs) -> Dofs:
-        local = jax.vmap(jax.grad(self.potential))(q[self.dofs.array], self.data)
+        local = jax.vmap(self.potential.gradient)(q[self.dofs.array], self.data)
         return jnp.zeros_like(q).at[self.dofs.array].add(local)
 
     def hessian(self, q: Dofs) -> Matrix:
-        local = jax.vmap(jax.hessian(self.potential))(q[self.dofs.array], self.data)
+        local = jax.vmap(self.potential.hessian)(q[self.dofs.array], self.data)
         rows, columns = self.dofs.array[:, :, None], self.dofs.array[:, None, :]
         return jnp.zeros((q.size, q.size), q.dtype).at[rows, columns].add(local)
 
@@ -151,23 +195,16 @@ class Potential:
 def gather(contributions: Sequence[Contribution]) -> Potential:
     """The potential of a step; elements on the same stencil are differentiated together."""
     merged: list[Contribution] = []
-    by_stencil: dict[Indices, list[Elements]] = {}
+    groups: dict[Any, list[Elements]] = {}
     for contribution in contributions:
         if isinstance(contribution, Elements):
-            by_stencil.setdefault(contribution.dofs, []).append(contribution)
+            key = contribution.dofs, type(contribution.potential)
+            groups.setdefault(key, []).append(contribution)
         else:
             merged.append(contribution)
-    for dofs, group in by_stencil.items():
-        if len(group) == 1:
-            merged.append(group[0])
-        else:
-            potential = _Sum(tuple(element.potential for element in group))
-            merged.append(Elements(dofs, potential, tuple(element.data for element in group)))
+    for (dofs, kind), group in groups.items():
+        if len(group) > 1:
+            potential, data = kind.together([(e.potential, e.data) for e in group])
+            group = [Elements(dofs, potential, data)]
+        merged += group
     return Potential(tuple(merged))
-
-
-class _Sum(tuple):
-    """A sum of element potentials that share a stencil; hashable, so that it can be static."""
-
-    def __call__(self, local: Array, data: tuple[Any, ...]) -> Array:
-        return jnp.asarray(sum(f(local, d) for f, d in zip(self, data, strict=True)))

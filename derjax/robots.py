@@ -36,12 +36,10 @@ def helix(
     return jnp.stack([x, radius * jnp.cos(phase), sign * radius * jnp.sin(phase)], axis=1)
 
 
-def edge_count(contour: float, edge_length: float) -> int:
-    """Edges of a filament: as many of at least `edge_length` as fit; at least three."""
+def edge_count(radius: float, pitch: float, axial_length: float, edge_length: float) -> int:
+    """Edges of a helix: as many of at least `edge_length` as fit, but three or more."""
+    contour = axial_length / pitch * math.hypot(2.0 * math.pi * radius, pitch)
     return max(3, math.floor(contour / edge_length + 1e-9))
-
-
-HEAD_EDGES = 3
 
 
 def single_flagellum(

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from .motor import Motor
 from .newton import NewtonSettings
-from .robots import Body, edge_count, helix_contour, single_flagellum
+from .robots import Body, edge_count, single_flagellum
 from .rod import Rod, State, at_rest
 from .scenefile import SceneFile
 from .step import Scene
@@ -27,9 +27,7 @@ from .terms.twist import Twist
 Parameters = Mapping[str, Any]
 
 
-def build(
-    scene: SceneFile, parameters: Parameters | None = None
-) -> tuple[Scene, State]:
+def build(scene: SceneFile, parameters: Parameters | None = None) -> tuple[Scene, State]:
     """The scene that a file describes, and the state in which it starts, at rest.
 
     A smooth function of `parameters`, so that a rollout may be differentiated with respect to
@@ -62,8 +60,7 @@ def build(
 
 def _body(scene: SceneFile, p: dict[str, Array]) -> Body:
     robot = scene.robot
-    contour = helix_contour(robot.helix_radius, robot.pitch, robot.axial_length)
-    n_edges = edge_count(float(contour), robot.edge_length)
+    n_edges = edge_count(robot.helix_radius, robot.pitch, robot.axial_length, robot.edge_length)
     return single_flagellum(
         p["helix_radius"], p["pitch"], p["axial_length"], n_edges, robot.handedness
     )
@@ -147,13 +144,10 @@ def _newton(scene: SceneFile, p: dict[str, Array], rod: Rod) -> NewtonSettings:
     """Residuals are measured in EI / L^2, the force that bends the rod by its own length."""
     length = jnp.sum(rod.rest_length)
     bending = p["youngs_modulus"] * jnp.pi * p["rod_radius"] ** 4 / 4
-    stretching = p["youngs_modulus"] * jnp.pi * p["rod_radius"] ** 2
     position = np.arange(rod.topology.n_dofs) < 3 * rod.topology.n_nodes
     force = jnp.where(position, bending / length**2, bending / length)
-    rounding = jnp.where(position, stretching / jnp.min(rod.rest_length) / force, 0.0)
     return NewtonSettings(
         tolerance=jnp.asarray(scene.solver.tolerance),
         force_scale=force,
-        round_off=rounding,
         max_iterations=scene.solver.max_iterations,
     )

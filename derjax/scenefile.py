@@ -6,19 +6,60 @@ is not given has the value of the paper's table (Lim, Yadunandan & Jawed, Soft M
 """
 
 import difflib
+import json
 import tomllib
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
-import pandas as pd
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
 
 T = TypeVar("T", bound=BaseModel)
-Length = Annotated[float, Field(gt=0, le=10, description="m", allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+def _unit_slip(wrong: Callable[[float], bool], rule: str, factor: float) -> AfterValidator:
+    """Refuses values that only make sense in another unit, and says what was meant."""
+
+    def validate(value: float) -> float:
+        if wrong(value):
+            said = {"rule": rule, "guess": f"{value * factor:.6g}"}
+            raise PydanticCustomError("unit", "{rule}; did you mean {guess}?", said)
+        return value
+
+    return AfterValidator(validate)
+
+
+# Numbers are strict: an integer will do for a float, a string or a boolean will not.
+Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Positive = Annotated[Finite, Field(gt=0)]
+NonNegative = Annotated[Finite, Field(ge=0)]
+Length = Annotated[Positive, _unit_slip(lambda x: x > 1, "lengths are in metres", 1e-3)]
+Modulus = Annotated[Positive, _unit_slip(lambda x: x < 10, "moduli are in pascals", 1e6)]
+Density = Annotated[Positive, _unit_slip(lambda x: x < 20, "densities are in kg/m^3", 1e3)]
+Switch = Annotated[bool, Field(strict=True)]
+Count = Annotated[int, Field(strict=True, ge=1)]
+
+UNITS = {
+    "helix_radius": "m",
+    "pitch": "m",
+    "axial_length": "m",
+    "rod_radius": "m",
+    "head_radius": "m",
+    "youngs_modulus": "Pa",
+    "poisson_ratio": "1",
+    "density": "kg/m^3",
+    "viscosity": "Pa s",
+    "fluid_density": "kg/m^3",
+    "regularization": "m",
+    "C_t": "1",
+    "C_r": "1",
+    "rpm": "rpm",
+}
+"""Units of the parameters of a scene."""
+
+MOST_STEPS = 2**31 - 1
 
 
 class InputError(ValueError):
@@ -46,18 +87,24 @@ class Robot(Table):
     @model_validator(mode="after")
     def _slender(self) -> Self:
         if self.rod_radius >= 0.5 * self.pitch:
-            raise ValueError("rod_radius: the turns of the helix overlap: it must be < pitch / 2")
+            raise ValueError(
+                f"rod_radius = {self.rod_radius:g}: the turns of the helix overlap; "
+                f"it must be less than half the pitch of {self.pitch:g} m"
+            )
         if self.edge_length > 0.34 * self.axial_length:
-            raise ValueError("edge_length: at least three edges must fit into axial_length")
+            raise ValueError(
+                f"edge_length = {self.edge_length:g}: three edges must fit into "
+                f"the axial_length of {self.axial_length:g} m"
+            )
         return self
 
 
 class Material(Table):
     """[material] The flagellum: Young's modulus in Pa, density in kg/m^3."""
 
-    youngs_modulus: Positive = 1.255e6
-    poisson_ratio: Annotated[float, Field(gt=-1, le=0.5)] = 0.5
-    density: Positive = 1260.0
+    youngs_modulus: Modulus = 1.255e6
+    poisson_ratio: Annotated[Finite, Field(gt=-1, le=0.5)] = 0.5
+    density: Density = 1260.0
 
 
 class Fluid(Table):
@@ -97,6 +144,9 @@ class Head(Table):
     mass: Positive | None = None
 
 
+FASTEST_RPM = 1e5
+
+
 class Motor(Table):
     """[motor] A constant rate, or the path of a table with columns `time` (s) and `rpm`."""
 
@@ -107,9 +157,13 @@ class Motor(Table):
     def _one(self) -> Self:
         if {"rpm", "table"} <= self.model_fields_set:
             raise ValueError("rpm: give either rpm or table, not both")
-        if abs(self.rpm) > 1e5:
-            raise ValueError(f"rpm: {self.rpm:g} revolutions per minute is beyond any motor")
+        if abs(self.rpm) > FASTEST_RPM:
+            raise ValueError(f"rpm = {self.rpm:g}: beyond any motor (revolutions per minute)")
         return self
+
+
+def _is_whole(ratio: float) -> bool:
+    return round(ratio) >= 1 and bool(np.isclose(ratio, round(ratio), rtol=1e-9, atol=1e-6))
 
 
 class Time(Table):
@@ -119,20 +173,25 @@ class Time(Table):
     end: Positive = 20.0
     frame: Positive | None = None
     scheme: Literal["implicit", "explicit"] = "implicit"
-    inertia: bool = False
+    inertia: Switch = False
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
         if self.step > self.end:
-            raise ValueError("step: must not be longer than end")
-        if not np.isclose(self.end / self.step, round(self.end / self.step), atol=1e-6):
-            raise ValueError("end: must be a whole number of steps")
+            raise ValueError(f"step = {self.step:g}: must not be longer than end = {self.end:g} s")
+        if self.end / self.step > MOST_STEPS:
+            raise ValueError(f"step = {self.step:g}: {self.end / self.step:.2g} steps are too many")
+        if not _is_whole(self.end / self.step):
+            raise ValueError(f"end = {self.end:g}: must be a whole number of {self.step:g} s steps")
         if self.frame is not None:
-            ratio = self.frame / self.step
-            if round(ratio) < 1 or not np.isclose(ratio, round(ratio), atol=1e-6):
-                raise ValueError("frame: must be a whole number of steps")
+            if not _is_whole(self.frame / self.step):
+                raise ValueError(
+                    f"frame = {self.frame:g}: must be a whole number of {self.step:g} s steps"
+                )
             if self.n_steps % self.steps_per_frame:
-                raise ValueError("frame: end must be a whole number of frames")
+                raise ValueError(
+                    f"frame = {self.frame:g}: end = {self.end:g} s must be a whole number of frames"
+                )
         return self
 
     @property
@@ -163,8 +222,8 @@ class Gravity(Table):
 class Solver(Table):
     """[solver] Newton's method: largest scaled residual, and number of iterations."""
 
-    tolerance: Annotated[float, Field(gt=0, lt=1)] = 1e-9
-    max_iterations: Annotated[int, Field(ge=1)] = 40
+    tolerance: Annotated[Positive, Field(lt=1)] = 1e-9
+    max_iterations: Count = 40
 
 
 class MotorTable(Table):
@@ -186,6 +245,15 @@ class SceneFile(Table):
     gravity: Gravity | None = None
     solver: Solver = Solver()
     motor_table: MotorTable | None = Field(default=None, exclude=True)
+
+    @model_validator(mode="after")
+    def _local(self) -> Self:
+        if self.fluid.regularization >= self.robot.pitch:
+            raise ValueError(
+                f"[fluid] regularization = {self.fluid.regularization:g}: must be less than "
+                f"the [robot] pitch of {self.robot.pitch:g} m"
+            )
+        return self
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -222,81 +290,156 @@ def load_scene(path: str | Path) -> SceneFile:
     path = Path(path)
     scene = check(SceneFile, read_toml(path), path)
     if scene.motor.table is not None:
-        table = read_motor_table(path.parent / scene.motor.table, scene.time.end)
+        try:
+            table = read_motor_table(path.parent / scene.motor.table, scene.time.end)
+        except InputError as error:
+            raise InputError(f"{path}: [motor] table: {error}") from None
         scene = scene.model_copy(update={"motor_table": table})
     return scene
 
 
 def read_toml(path: Path) -> dict[str, Any]:
     """The contents of a TOML file; `InputError` if there is none."""
+    text = ""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        return tomllib.loads(text)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from None
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from None
+        end = f"at end of document, line {text.count(chr(10)) + 1}"
+        said = str(error).replace("at end of document", end)
+        raise InputError(f"{path}: not valid TOML: {said}") from None
 
 
 def check(model: type[T], content: dict[str, Any], path: Path) -> T:
     """`content` as a `model`; `InputError` naming `path` and the keys at fault."""
+    problems: list[str] = []
+    for key in content.keys() & (model.model_fields.keys() - set(_known_keys(model))):
+        problems.append(_unknown(model, [], key, content[key]))
     try:
-        return model.model_validate(content)
+        checked = model.model_validate(content)
     except ValidationError as error:
-        problems = [_describe(model, problem) for problem in error.errors()]
-        raise InputError("\n".join(f"{path}: {problem}" for problem in problems)) from None
+        problems += [_describe(model, problem) for problem in error.errors()]
+    else:
+        if not problems:
+            return checked
+    raise InputError("\n".join(f"{path}: {problem}" for problem in problems))
 
 
 def _describe(model: type[BaseModel], problem: Any) -> str:
     """One problem that pydantic found, as a sentence with the key in TOML's notation."""
-    *tables, key = problem["loc"] or ("",)
-    where = "".join(f"[{t}] " if isinstance(t, str) else f"(entry {t + 1}) " for t in tables)
-    if problem["type"] == "extra_forbidden":
-        known = _known_keys(model, tables)
-        close = difflib.get_close_matches(str(key), known, n=1)
-        hint = f" Did you mean {close[0]!r}?" if close else ""
-        return f"{where}{key}: unknown key.{hint} Known keys: {', '.join(known)}"
-    if problem["type"] == "value_error":
-        table = f"[{key}] " if key else ""
-        return f"{where}{table}{problem['ctx']['error']}"
-    units = " (lengths are in metres)" if problem["type"] == "less_than_equal" else ""
-    message = problem["msg"][0].lower() + problem["msg"][1:]
-    return f"{where}{key}: {message}, got {problem['input']!r}{units}"
+    kind, given, place = problem["type"], problem["input"], list(problem["loc"])
+    if kind == "extra_forbidden":
+        return _unknown(model, place[:-1], str(place[-1]), given)
+    if kind == "missing":
+        return f"{_where(place)}: is missing"
+    if kind in ("model_type", "model_attributes_type"):
+        return f"{_where(place)}: should be a table, not {_toml(given)}"
+    if kind == "value_error":
+        if not isinstance(given, Mapping):
+            return f"{_where(place)} = {_toml(given)}: {problem['ctx']['error']}"
+        table = f"{_where(place, is_table=True)} " if place else ""
+        return f"{table}{problem['ctx']['error']}"
+    message = problem["msg"].removeprefix("Input ")
+    if kind == "float_type" and isinstance(given, str) and _is_number(given):
+        message += "; write it without quotes"
+    if kind == "greater_than" and place[-1] in UNITS and UNITS[place[-1]] == "m":
+        message += "; lengths are in metres"
+    return f"{_where(place)} = {_toml(given)}: {message}"
 
 
-def _known_keys(model: type[BaseModel], tables: list[Any]) -> list[str]:
-    for table in tables:
+def _where(place: list[Any], is_table: bool = False) -> str:
+    """A place in a file: `[table] key`, `[table] (entry 2) key.subkey`."""
+    if len(place) == 1 and not is_table:
+        return str(place[0])
+    table, *keys = place
+    words = "".join(f" (entry {k + 1}) " if isinstance(k, int) else f".{k}" for k in keys)
+    return f"[{table}] {words.strip('. ').replace(') .', ') ')}".strip()
+
+
+def _toml(value: Any) -> str:
+    """A value as it stands in a TOML file, if it is short."""
+    text = json.dumps(value, default=str) if isinstance(value, str | bool | list) else str(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _unknown(model: type[BaseModel], tables: list[Any], key: str, given: Any) -> str:
+    """What to say about a key that does not exist: where it belongs, or what was meant."""
+    known = _known_keys(model, tables)
+    close = difflib.get_close_matches(key, known, n=1)
+    if isinstance(given, Mapping) and not tables:
+        hint = f" Did you mean [{close[0]}]?" if close else ""
+        return f"[{key}]: unknown table.{hint} Known tables: {', '.join(known)}"
+    where = _where([*tables, key])
+    homes = [name for name in _known_keys(model) if key in _known_keys(model, [name])]
+    if homes:
+        return f"{where}: unknown key. It belongs in the table [{homes[0]}]"
+    hint = f" Did you mean {close[0]!r}?" if close else ""
+    return f"{where}: unknown key.{hint} Known keys: {', '.join(known)}"
+
+
+def _known_keys(model: type[BaseModel], tables: list[Any] | None = None) -> list[str]:
+    """The keys of the table that is reached from `model` through `tables`; none if no table."""
+    for table in tables or []:
         if not isinstance(table, str):
             continue
-        annotation = model.model_fields[table].annotation
-        inner = [annotation, *getattr(annotation, "__args__", ())]
-        model = next(a for a in inner if isinstance(a, type) and issubclass(a, BaseModel))
+        pending, found = [model.model_fields[table].annotation], None
+        while pending and found is None:
+            part = pending.pop()
+            if isinstance(part, type) and issubclass(part, BaseModel):
+                found = part
+            pending.extend(getattr(part, "__args__", ()))
+        if found is None:
+            return []
+        model = found
     return [name for name, field in model.model_fields.items() if not field.exclude]
 
 
 def read_motor_table(path: Path, end: float) -> MotorTable:
-    """A CSV file with columns `time` (s) and `rpm`, which must cover the run up to `end`."""
+    """A CSV file with columns `time` (s) and `rpm`, which must cover the run up to `end`.
+
+    Raises:
+        InputError: no such file, a missing column, a value that is not a finite number, times
+            that do not increase, or a table that does not cover 0 to `end`.
+    """
+    import pandas as pd  # slow to import, and only needed here
+
     try:
         frame = pd.read_csv(path, comment="#", skipinitialspace=True)
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file ([motor] table)") from None
+        raise InputError(f"{path}: no such file") from None
     except (ValueError, OSError) as error:
         raise InputError(f"{path}: not a CSV table: {error}") from None
+    frame.columns = frame.columns.astype(str).str.strip()
     if missing := {"time", "rpm"} - set(frame.columns):
-        raise InputError(f"{path}: no column {' or '.join(sorted(missing))}; needs time, rpm")
-    frame = frame[["time", "rpm"]].apply(pd.to_numeric, errors="coerce")
-    if bad := frame.index[frame.isna().any(axis=1)].tolist():
-        raise InputError(f"{path}: row {bad[0] + 1}: not a number")
-    time = frame["time"].to_numpy()
+        raise InputError(
+            f"{path}: no column {' or '.join(sorted(missing))}; a motor table has the columns "
+            f"time (s) and rpm, this one has {', '.join(frame.columns)}"
+        )
+    numbers = frame[["time", "rpm"]].apply(pd.to_numeric, errors="coerce")
+    time, rpm = numbers.to_numpy(dtype=float).T
     if len(time) == 0:
         raise InputError(f"{path}: the table is empty")
-    if (np.diff(time) <= 0).any():
-        row = int(np.argmax(np.diff(time) <= 0)) + 2
-        raise InputError(f"{path}: row {row}: times must increase")
+    if len(bad := np.flatnonzero(~np.isfinite(time + rpm))):
+        raise InputError(f"{path}: row {bad[0] + 1}: not a finite number")
+    if len(bad := np.flatnonzero(abs(rpm) > FASTEST_RPM)):
+        raise InputError(f"{path}: row {bad[0] + 1}: rpm = {rpm[bad[0]]:g}: beyond any motor")
+    if len(bad := np.flatnonzero(np.diff(time) <= 0)):
+        raise InputError(f"{path}: row {bad[0] + 2}: times must increase")
     if time[0] > 0 or time[-1] < end * (1 - 1e-9):
         raise InputError(
             f"{path}: the motor table covers {time[0]:g} to {time[-1]:g} s, "
-            f"but the run lasts from 0 to {end:g} s"
+            f"but the run lasts from 0 to {end:g} s ([time] end)"
         )
-    return MotorTable(time=tuple(time.tolist()), rpm=tuple(frame["rpm"].tolist()))
+    return MotorTable(time=tuple(time.tolist()), rpm=tuple(rpm.tolist()))

@@ -56,5 +56,3 @@ def advance(scene: Scene, state: State) -> tuple[State, NewtonInfo]:
     q, info = equilibrium(potential, state.q + h * state.velocity, scene.newton, free)
     new = carry_frames(scene.rod, replace(state, motor_angle=motor_angle), q)
     return replace(new, velocity=(q - state.q) / h, time=end), info
-
-

@@ -3,19 +3,16 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..hinge import HingeFrames, hinge_frames, strains
+from ..hinge import HingePotential, hinge_frames
 from ..potential import Elements
 from ..pytree import pytree
 from ..rod import Rod, State
 from .term import Interval
 
 
-def energy(
-    local: Float[Array, " 11"], data: tuple[HingeFrames, Array, Array, Array]
-) -> Float[Array, ""]:
-    """1/2 EI |kappa - kappa_bar|^2 / l of one hinge (J); Bergou et al. 2010, eq. 6."""
-    frames, stiffness, natural, length = data
-    kappa, _ = strains(local, frames)
+def energy(kappa: Float[Array, " 2"], twist: Array, data: tuple[Array, Array, Array]) -> Array:
+    """1/2 EI |kappa - natural|^2 / l of one hinge (J); Bergou et al. 2010, eq. 6."""
+    stiffness, natural, length = data
     return 0.5 * stiffness / length * jnp.sum((kappa - natural) ** 2)
 
 
@@ -30,10 +27,6 @@ class Bend:
     stiffness: Float[Array, " b"]
 
     def contribution(self, rod: Rod, state: State, interval: Interval) -> Elements:
-        data = (
-            hinge_frames(rod, state),
-            self.stiffness,
-            rod.natural_curvature,
-            rod.hinge_length,
-        )
-        return Elements(rod.topology.hinge_stencil, energy, data)
+        data = (self.stiffness, rod.natural_curvature, rod.hinge_length)
+        stencil = rod.topology.hinge_stencil
+        return Elements(stencil, HingePotential(energy), (hinge_frames(rod, state), data))

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..geometry import dot, unit
-from ..potential import Elements
+from ..potential import Autodiff, Elements
 from ..pytree import Indices, pytree
 from ..rod import Rod, State
 from .term import Interval
@@ -51,6 +51,4 @@ class HeadDrag:
         dofs = np.append(topology.node_dofs(nodes), topology.edge_dofs([topology.head_edge]))
         coefficients = (self.translation, self.spin, self.tilt, interval.length)
         data = (state.q[dofs][None], *(jnp.asarray(c)[None] for c in coefficients))
-        return Elements(Indices(dofs[None]), dissipation, data)
-
-
+        return Elements(Indices(dofs[None]), Autodiff(dissipation), data)

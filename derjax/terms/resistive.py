@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..geometry import dot, unit
-from ..potential import Elements
+from ..potential import Autodiff, Elements
 from ..pytree import Indices, pytree
 from ..rod import Rod, State, positions
 from .term import Interval
@@ -79,4 +79,4 @@ class ResistiveDrag:
             self.normal * weight,
             jnp.broadcast_to(interval.length, weight.shape),
         )
-        return Elements(Indices(dofs), dissipation, data)
+        return Elements(Indices(dofs), Autodiff(dissipation), data)

@@ -3,7 +3,7 @@
 from jaxtyping import Array, Float
 
 from ..geometry import norm
-from ..potential import Elements
+from ..potential import Autodiff, Elements
 from ..pytree import pytree
 from ..rod import Rod, State
 from .term import Interval
@@ -27,4 +27,6 @@ class Stretch:
     stiffness: Float[Array, " e"]
 
     def contribution(self, rod: Rod, state: State, interval: Interval) -> Elements:
-        return Elements(rod.topology.edge_stencil, energy, (self.stiffness, rod.rest_length))
+        return Elements(
+            rod.topology.edge_stencil, Autodiff(energy), (self.stiffness, rod.rest_length)
+        )

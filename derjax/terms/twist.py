@@ -3,19 +3,16 @@
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..hinge import HingeFrames, hinge_frames, strains
+from ..hinge import HingePotential, hinge_frames
 from ..potential import Elements
 from ..pytree import pytree
 from ..rod import Rod, State
 from .term import Interval
 
 
-def energy(
-    local: Float[Array, " 11"], data: tuple[HingeFrames, Array, Array, Array]
-) -> Float[Array, ""]:
-    """1/2 GJ (twist - natural twist)^2 / l of one hinge (J); Bergou et al. 2010, eq. 7."""
-    frames, stiffness, natural, length = data
-    _, twist = strains(local, frames)
+def energy(kappa: Float[Array, " 2"], twist: Array, data: tuple[Array, Array, Array]) -> Array:
+    """1/2 GJ (twist - natural)^2 / l of one hinge (J); Bergou et al. 2010, eq. 7."""
+    stiffness, natural, length = data
     return 0.5 * stiffness / length * (twist - natural) ** 2
 
 
@@ -36,5 +33,6 @@ class Twist:
         natural = rod.natural_twist
         if rod.topology.motors:
             natural = natural.at[np.array(rod.topology.motors)].add(interval.motor_angle)
-        data = (hinge_frames(rod, state), self.stiffness, natural, rod.hinge_length)
-        return Elements(rod.topology.hinge_stencil, energy, data)
+        data = (self.stiffness, natural, rod.hinge_length)
+        stencil = rod.topology.hinge_stencil
+        return Elements(stencil, HingePotential(energy), (hinge_frames(rod, state), data))

@@ -1,0 +1,8 @@
+"""`python -m derjax`: the same as the command `derjax`."""
+
+import sys
+
+from .cli import main
+
+if __name__ == "__main__":
+    sys.exit(main())

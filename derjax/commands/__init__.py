@@ -1,0 +1,1 @@
+"""The subcommands of `derjax`, one module each; see `derjax.cli`."""

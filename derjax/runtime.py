@@ -1,0 +1,44 @@
+"""How programs are compiled on this computer."""
+
+import os
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import jax
+
+SHORTEST_COMPILATION = 0.2
+"""Programs that compile faster than this (s) are not worth keeping."""
+
+
+def enable_compilation_cache() -> Path | None:
+    """Keep compiled programs on disk, so that the next process need not compile them again.
+
+    They go to the user's cache directory, apart for every version of jaxlib. A directory or a
+    shortest time that JAX has been given already, by `JAX_COMPILATION_CACHE_DIR` and
+    `JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS` or in its configuration, is left as it is.
+
+    Returns:
+        The directory in use; None where no directory can be made: then nothing is kept.
+    """
+    if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", SHORTEST_COMPILATION)
+    chosen = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
+    if chosen:
+        return Path(chosen)
+    directory = _user_cache() / "derjax" / f"jax-{version('jaxlib')}"
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return None
+    jax.config.update("jax_compilation_cache_dir", str(directory))
+    return directory
+
+
+def _user_cache() -> Path:
+    """Where this operating system wants programs to keep what they can do without."""
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")

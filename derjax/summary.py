@@ -1,0 +1,108 @@
+"""The few numbers that a run is remembered by.
+
+They are taken over the *window*, the second half of the time computed, when the robot swims
+steadily:
+
+`v_x_m_per_s`
+    Slope of a straight line fitted (least squares) to the x coordinate of the head node.
+`head_rate_rad_per_s`
+    Slope of a straight line fitted to the angle that the head has turned about its own axis,
+    which points from the head to the flagella, along +x in a straight robot. Positive is
+    right-handed about that axis. Reference frames are transported in time, so that this is
+    the component of the head's angular velocity along its own axis.
+`head_rate_lab_x_rad_per_s`
+    Mean of the component of the head's angular velocity along the x axis of the laboratory,
+    `(t x dt/dt + s t) . x` with t the head's axis and s its spin.
+`tail_to_head_m`
+    Mean distance from the head node to the last node.
+`propulsive_force_N`
+    `6 pi mu r_h C_t v_x`: the x component of the force with which the flagella push the head,
+    opposite to the drag on the head; negative when the robot swims towards -x.
+`efficiency`
+    `eta = F r_h / T`, with F the magnitude of the propulsive force and
+    `T = 8 pi mu r_h^3 C_r |head_rate|` the drag torque on the head, that is
+    `(3/4) (C_t / C_r) |v_x| / (r_h |head_rate|)`.
+
+What cannot be said is None: of a scene without a head, or with less than two frames in the
+window; force and efficiency also of a head without drag, efficiency of a head at rest.
+"""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from .files import atomic_path
+from .scenefile import SceneFile
+
+Numbers = dict[str, Any]
+
+NAMES = (
+    "v_x_m_per_s",
+    "head_rate_rad_per_s",
+    "head_rate_lab_x_rad_per_s",
+    "tail_to_head_m",
+    "propulsive_force_N",
+    "efficiency",
+)
+
+
+def window(time: np.ndarray) -> np.ndarray:
+    """Which times (s) belong to the second half of the run."""
+    return time >= 0.5 * time[-1] * (1 - 1e-12)
+
+
+def slope(time: np.ndarray, values: np.ndarray) -> float:
+    """Slope of the straight line fitted to `values` by least squares."""
+    centred = time - time.mean()
+    return float(centred @ (values - values.mean()) / (centred @ centred))
+
+
+def summarise(trajectory: xr.Dataset, scene: SceneFile) -> Numbers:
+    """The numbers defined above, of a trajectory made by `to_dataset` from `scene`."""
+    numbers: Numbers = dict.fromkeys(NAMES)
+    time = trajectory.time.to_numpy()
+    chosen = window(time)
+    numbers["window_s"] = [float(time[chosen][0]), float(time[-1])]
+    if "head_position" not in trajectory or chosen.sum() < 2:
+        return numbers
+    part = trajectory.isel(time=chosen)
+    speed = slope(time[chosen], part.head_position.sel(axis="x").to_numpy())
+    rate = slope(time[chosen], part.head_angle.to_numpy())
+    reach = part.position.isel(node=-1) - part.head_position
+    numbers |= {
+        "v_x_m_per_s": speed,
+        "head_rate_rad_per_s": rate,
+        "head_rate_lab_x_rad_per_s": float(part.head_angular_velocity.sel(axis="x").mean()),
+        "tail_to_head_m": float(np.linalg.norm(reach, axis=-1).mean()),
+    }
+    if scene.head.drag == "none":
+        return numbers
+    size, viscosity = scene.robot.head_radius, scene.fluid.viscosity
+    force = 6 * math.pi * viscosity * size * scene.head.C_t * speed
+    torque = 8 * math.pi * viscosity * size**3 * scene.head.C_r * abs(rate)
+    numbers["propulsive_force_N"] = force
+    numbers["efficiency"] = abs(force) * size / torque if torque > 0 else None
+    return numbers
+
+
+def write(summary: Numbers, path: str | Path) -> None:
+    """Writes JSON, replacing an older file in one go; what is not finite becomes null."""
+    with atomic_path(path) as temporary:
+        text = json.dumps({k: _plain(v) for k, v in summary.items()}, indent=2, allow_nan=False)
+        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,144 @@
+"""A trajectory as a labelled data set, which other programs can open.
+
+    import xarray
+    trajectory = xarray.open_dataset("out/trajectory.nc")
+    trajectory.head_position.sel(axis="x").plot()
+
+All quantities are in SI units and every one says so in its attributes. The file also holds
+the scene file that it comes from, so that it can be computed again.
+"""
+
+import json
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+
+from .files import atomic_path
+from .rod import State, Topology, angles, positions
+from .scenefile import UNITS, SceneFile
+from .step import Scene
+
+DIGITS_OF_TIME = 12
+"""Times are rounded to 1e-12 s: adding up a thousand steps leaves 0.30000000000000004 s."""
+
+
+def to_dataset(
+    file: SceneFile, scene: Scene, states: State, attributes: Mapping[str, Any] | None = None
+) -> xr.Dataset:
+    """A trajectory, labelled.
+
+    Args:
+        file: the scene file; its parameters become attributes.
+        scene: what was built from it.
+        states: the states, with a leading axis of time on every leaf, as `rollout` returns.
+        attributes: more attributes of the data set, of text and numbers.
+
+    Returns:
+        A data set with the dimensions time, node, axis, edge and motor.
+    """
+    states = jax.tree.map(np.asarray, states)
+    topology = scene.rod.topology
+    nodes = positions(topology, states.q)
+    variables = {
+        "position": _variable("time node axis", nodes, "m", "position of the nodes"),
+        "velocity": _variable(
+            "time node axis",
+            positions(topology, states.velocity),
+            "m/s",
+            "velocity of the nodes, over the step that ends at this time",
+        ),
+        "edge_angle": _variable(
+            "time edge",
+            angles(topology, states.q) + 2 * np.pi * states.turns,
+            "rad",
+            "angle that the edge has turned about itself since the start, whole turns included",
+        ),
+        **_motor(scene, states),
+        **_head(topology, states, nodes),
+    }
+    start, end = topology.edge_nodes.T
+    coordinates = {
+        "time": _variable("time", np.round(states.time, DIGITS_OF_TIME), "s", "time"),
+        "node": _variable("node", np.arange(topology.n_nodes), "1", "number of the node"),
+        "axis": ("axis", ["x", "y", "z"], {"long_name": "axis of the laboratory frame"}),
+        "edge": _variable("edge", np.arange(topology.n_edges), "1", "number of the edge"),
+        "edge_start": _variable("edge", start, "1", "node at which the edge starts"),
+        "edge_end": _variable("edge", end, "1", "node at which the edge ends"),
+    }
+    return xr.Dataset(variables, coordinates, _attributes(file) | dict(attributes or {}))
+
+
+def write(dataset: xr.Dataset, path: str | Path) -> None:
+    """Writes a NetCDF4 file, replacing an older one in one go."""
+    encoding = {name: {"_FillValue": None} for name in dataset.variables}
+    with atomic_path(path) as temporary:
+        dataset.to_netcdf(temporary, engine="h5netcdf", encoding=encoding)
+
+
+def _variable(dims: str, values: Any, units: str, long_name: str) -> tuple[Any, ...]:
+    return dims.split(), np.asarray(values), {"units": units, "long_name": long_name}
+
+
+def _motor(scene: Scene, states: State) -> dict[str, tuple[Any, ...]]:
+    """What the motors were told to do: exact, as it is a function of time alone."""
+    motor = scene.motor
+    if motor is None:
+        return {}
+    angle = jax.vmap(motor.turned, (None, 0))(jnp.zeros(()), states.time)
+    rate = motor.rate_at(states.time)
+    return {
+        "motor_angle": _variable("time motor", angle, "rad", "angle that the motor has turned"),
+        "motor_rate": _variable("time motor", rate, "rad/s", "rate of the motor"),
+    }
+
+
+def _head(topology: Topology, states: State, nodes: Any) -> dict[str, tuple[Any, ...]]:
+    """How the head moves: that of its node, and that of the frame of its edge.
+
+    The angular velocity is t x dt/dt + s t: the change of direction t of the edge, and its
+    spin s about itself, which is the rate of its angle because reference frames that are
+    transported in time do not spin.
+    """
+    edge = topology.head_edge
+    if edge is None:
+        return {}
+    node, other = topology.edges[edge]
+    along = nodes[:, other] - nodes[:, node]
+    length = np.linalg.norm(along, axis=-1, keepdims=True)
+    tangent = along / length
+    velocity = positions(topology, states.velocity)
+    turning = np.cross(tangent, (velocity[:, other] - velocity[:, node]) / length)
+    spin = angles(topology, states.velocity)[:, edge]
+    angle = angles(topology, states.q)[:, edge] + 2 * np.pi * states.turns[:, edge]
+    return {
+        "head_position": _variable("time axis", nodes[:, node], "m", "position of the head"),
+        "head_velocity": _variable("time axis", velocity[:, node], "m/s", "velocity of the head"),
+        "head_axis": _variable(
+            "time axis", tangent, "1", "direction of the head, towards the flagella"
+        ),
+        "head_angle": _variable(
+            "time", angle, "rad", "angle that the head has turned about its own axis"
+        ),
+        "head_spin": _variable("time", spin, "rad/s", "spin of the head about its own axis"),
+        "head_angular_velocity": _variable(
+            "time axis", turning + spin[:, None] * tangent, "rad/s", "angular velocity of the head"
+        ),
+    }
+
+
+def _attributes(file: SceneFile) -> dict[str, Any]:
+    """Versions, the scene's choices as JSON, and each of its parameters by name."""
+    parameters = {name: np.asarray(value) for name, value in file.parameters.items()}
+    return {
+        "derjax_version": version("derjax"),
+        "jax_version": jax.__version__,
+        "scene_json": json.dumps(file.model_dump(mode="json")),
+        "parameter_units": ", ".join(f"{name}: {UNITS[name]}" for name in parameters),
+        **parameters,
+    }
