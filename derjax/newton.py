@@ -165,10 +165,16 @@ def _equilibrium_jvp(free, primals, tangents):
     # Clamped degrees of freedom follow the guess; the others follow from F = 0.
     clamped = jnp.zeros_like(q) if free is None else d_guess.at[chosen].set(0.0)
     _, d_gradient = jax.jvp(lambda p, y: p.gradient(y), (potential, q), (d_potential, clamped))
-    matrix = potential.hessian(q)[chosen][:, chosen]
-    solver = factor(matrix, potential.symmetric)
+    matrix = potential.hessian(lax.stop_gradient(q))[chosen][:, chosen]
+    solver = factor(lax.stop_gradient(matrix), potential.symmetric)
+
+    def stiffness(x):
+        """The Newton matrix times x: never computed, but what higher derivatives go through."""
+        full = x if free is None else jnp.zeros_like(q).at[chosen].set(x)
+        return jax.jvp(potential.gradient, (q,), (full,))[1][chosen]
+
     step = lax.custom_linear_solve(
-        lambda x: matrix @ x,
+        stiffness,
         -d_gradient[chosen],
         solve=lambda _, b: solver.solve(b),
         transpose_solve=lambda _, b: solver.solve_transposed(b),

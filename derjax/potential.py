@@ -95,35 +95,47 @@ class Elements:
         return jnp.zeros((q.size, q.size), q.dtype).at[rows, columns].add(local)
 
 
+class Operator(Protocol):
+    """A linear map of displacements to forces (N/m)."""
+
+    def matrix(self) -> Float[Array, "m m"]:
+        """The map as a matrix; its derivatives are never taken."""
+        ...
+
+    def apply(self, displacement: Float[Array, " m"]) -> Float[Array, " m"]:
+        """The force for a displacement, differentiable in everything that it depends on."""
+        ...
+
+
 @pytree
 class Quadratic:
-    """`1/2 (q - origin)^T matrix (q - origin)` on some of the degrees of freedom.
+    """`1/2 u^T operator u` of the displacement u = q - origin of some degrees of freedom.
 
-    With `symmetric=False` there is no potential, only the force `matrix (q - origin)`, and
-    the line search goes by the residual.
+    With `symmetric=False` there is no potential, only the force `operator u`, and the line
+    search goes by the residual.
 
     Attributes:
-        dofs: (m,) degrees of freedom the matrix acts on.
-        matrix: (m, m) N/m.
+        dofs: (m,) degrees of freedom the operator acts on.
+        operator: N/m.
         origin: (d,) m and rad.
     """
 
     dofs: Indices = static()
     symmetric: bool = static()
-    matrix: Float[Array, "m m"]
+    operator: Operator
     origin: Dofs
 
     def value(self, q: Dofs) -> Array:
         local = (q - self.origin)[self.dofs.array]
-        return 0.5 * local @ (self.matrix @ local)
+        return 0.5 * local @ self.operator.apply(local)
 
     def gradient(self, q: Dofs) -> Dofs:
         local = (q - self.origin)[self.dofs.array]
-        return jnp.zeros_like(q).at[self.dofs.array].add(self.matrix @ local)
+        return jnp.zeros_like(q).at[self.dofs.array].add(self.operator.apply(local))
 
     def hessian(self, q: Dofs) -> Matrix:
         rows, columns = self.dofs.array[:, None], self.dofs.array[None, :]
-        return jnp.zeros((q.size, q.size), q.dtype).at[rows, columns].add(self.matrix)
+        return jnp.zeros((q.size, q.size), q.dtype).at[rows, columns].add(self.operator.matrix())
 
 
 @pytree

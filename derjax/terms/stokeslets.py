@@ -10,10 +10,13 @@ R(a)^2 = |x0 + a v|^2 + eps^2 and the moments T_mq = int_0^1 a^m R^-q da,
     M1 = (T01 + eps^2 T03) I + T03 x0 x0 + T13 (x0 v + v x0) + T23 v v - M2.
 """
 
+from functools import partial
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
 from ..potential import Quadratic
@@ -147,21 +150,78 @@ class StokesletSegments:
         everywhere = set(self.dragged) == {n for path in self.solved for n in path}
         return everywhere and self.drag_matrix != "collocation"
 
-    def resistance(self, x: Float[Array, "n 3"]) -> Float[Array, "3m 3m"]:
-        """Matrix R (N s/m) that takes velocities of the solved nodes to the drag on them."""
+    def mobility(self, x: Float[Array, "n 3"]) -> Float[Array, "3m 3m"]:
+        """Matrix (m/(N s)) whose inverse `drag_matrix` is made of, for nodes at `x` (m)."""
         filaments = tuple(x[np.array(path)] for path in self.solved)
         a = mobility(filaments, self.viscosity, self.regularization, self.end_nodes)
         if self.drag_matrix == "lower_triangle":
             a = jnp.tril(a) + jnp.tril(a, -1).T
-        r = jnp.linalg.inv(a)
-        if self.drag_matrix == "symmetric":
-            r = 0.5 * (r + r.T)
-        if len(self.dragged) < len(self.nodes):
-            acts = np.isin(self.nodes, self.dragged).astype(float)
-            r = jnp.repeat(acts, 3)[:, None] * r
-        return r
+        return a
+
+    def resistance(self, x: Float[Array, "n 3"]) -> Float[Array, "3m 3m"]:
+        """Matrix (N s/m) that takes velocities of the solved nodes to the drag on them."""
+        return Resistance(self, x, jnp.linalg.inv(self.mobility(x)), jnp.ones(())).matrix()
 
     def contribution(self, rod: Rod, state: State, interval: Interval) -> Quadratic:
-        matrix = self.resistance(positions(rod.topology, state.q)) / interval.length
+        x = positions(rod.topology, state.q)
+        inverse = lax.stop_gradient(jnp.linalg.inv(self.mobility(x)))
         dofs = Indices(rod.topology.node_dofs(self.nodes).ravel())
-        return Quadratic(dofs, self.symmetric, matrix, state.q)
+        operator = Resistance(self, x, inverse, interval.length)
+        return Quadratic(dofs, self.symmetric, operator, state.q)
+
+
+@pytree
+class Resistance:
+    """The drag of `StokesletSegments` on displacements that take some time.
+
+    The inverse of the mobility is computed once. Derivatives do not go through it, but
+    through A f = v: dv - dA f is solved for with the same inverse.
+
+    Attributes:
+        drag: the term.
+        x: (n, 3) m, positions of all nodes of the rod.
+        inverse: (3m, 3m) of the mobility at these positions, N s/m.
+        time: s.
+    """
+
+    drag: StokesletSegments
+    x: Float[Array, "n 3"]
+    inverse: Float[Array, "3m 3m"]
+    time: Float[Array, ""]
+
+    def _acts(self, force: Array) -> Array:
+        """Without the forces on solved nodes that are not dragged."""
+        if len(self.drag.dragged) == len(self.drag.nodes):
+            return force
+        acts = np.repeat(np.isin(self.drag.nodes, self.drag.dragged), 3).astype(float)
+        return acts.reshape(-1, *([1] * (force.ndim - 1))) * force
+
+    def matrix(self) -> Float[Array, "3m 3m"]:
+        r = self.inverse
+        if self.drag.drag_matrix == "symmetric":
+            r = 0.5 * (r + r.T)
+        return self._acts(r) / self.time
+
+    def apply(self, displacement: Float[Array, " 3m"]) -> Float[Array, " 3m"]:
+        force = _solve(False, self.drag, self.x, self.inverse, displacement)
+        if self.drag.drag_matrix == "symmetric":
+            force = 0.5 * (force + _solve(True, self.drag, self.x, self.inverse, displacement))
+        return self._acts(force) / self.time
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _solve(
+    transposed: bool, drag: StokesletSegments, x: Array, inverse: Array, b: Array
+) -> Float[Array, " 3m"]:
+    """A^-1 b (or A^-T b), with A the mobility at `x` and `inverse` its inverse."""
+    return inverse.T @ b if transposed else inverse @ b
+
+
+@_solve.defjvp
+def _solve_jvp(transposed, primals, tangents):
+    drag, x, inverse, b = primals
+    d_drag, d_x, _, d_b = tangents
+    force = _solve(transposed, drag, x, inverse, b)
+    _, d_a = jax.jvp(lambda drag, x: drag.mobility(x), (drag, x), (d_drag, d_x))
+    change = d_a.T @ force if transposed else d_a @ force
+    return force, _solve(transposed, drag, x, inverse, d_b - change)
