@@ -10,6 +10,7 @@ mode with a transposable solve, which gives reverse mode and higher orders as we
 """
 
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -181,5 +182,5 @@ def _equilibrium_jvp(free, primals, tangents):
         symmetric=False,
     )
     dq = step if free is None else clamped.at[chosen].set(step)
-    none = np.zeros((), jax.dtypes.float0)
+    none: Any = np.zeros((), jax.dtypes.float0)  # the tangent of an integer
     return (q, info), (dq, NewtonInfo(none, none, jnp.zeros_like(info.residual)))

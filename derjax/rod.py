@@ -248,7 +248,7 @@ def hinge_tangents(
 ) -> tuple[Float[Array, "b 3"], Float[Array, "b 3"]]:
     """Tangents of the two edges of every hinge, pointing along the hinge."""
     first, second = topology.hinge_edges.T
-    signs = topology.hinge_signs
+    signs = jnp.asarray(topology.hinge_signs)
     return signs[:, :1] * tangent[first], signs[:, 1:] * tangent[second]
 
 

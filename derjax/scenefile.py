@@ -173,7 +173,7 @@ class Time(Table):
     end: Positive = 20.0
     frame: Positive | None = None
     scheme: Literal["implicit", "explicit"] = "implicit"
-    inertia: Switch = False
+    inertia: Switch = True
 
     @model_validator(mode="after")
     def _whole(self) -> Self:

@@ -79,6 +79,12 @@ def segment_kernels(
     return m1, m2
 
 
+def _by_node(starts: Float[Array, "*b s"], ends: Float[Array, "*b s"]) -> Float[Array, "*b n"]:
+    """Sums over the segments of a filament what belongs to the nodes they start and end at."""
+    rest = ((0, 0),) * (starts.ndim - 1)
+    return jnp.pad(starts, (*rest, (0, 1))) + jnp.pad(ends, (*rest, (1, 0)))
+
+
 def mobility(
     filaments: tuple[Float[Array, "_ 3"], ...],
     viscosity: Array,
@@ -103,12 +109,9 @@ def mobility(
         if end_nodes == "half":
             edge = nodes[1:] - nodes[:-1]
             length = jnp.sqrt(jnp.sum(edge * edge, axis=1))
-            m1, m2 = length * m1, length * m2
-        pad = ((0, 0), (0, 0), (0, 0))
-        column = jnp.pad(m1, (*pad, (0, 1))) + jnp.pad(m2, (*pad, (1, 0)))
-        if end_nodes == "half":
-            column = column / (0.5 * (jnp.pad(length, (0, 1)) + jnp.pad(length, (1, 0))))
-        columns.append(column)
+            columns.append(_by_node(length * m1, length * m2) / _by_node(length / 2, length / 2))
+        else:
+            columns.append(_by_node(m1, m2))
     matrix = jnp.concatenate(columns, axis=-1) / (8.0 * jnp.pi * viscosity)
     size = 3 * targets.shape[0]
     return matrix.transpose(2, 0, 3, 1).reshape(size, size)
@@ -193,7 +196,7 @@ class Resistance:
         """Without the forces on solved nodes that are not dragged."""
         if len(self.drag.dragged) == len(self.drag.nodes):
             return force
-        acts = np.repeat(np.isin(self.drag.nodes, self.drag.dragged), 3).astype(float)
+        acts = jnp.repeat(jnp.isin(self.drag.nodes, np.array(self.drag.dragged)), 3).astype(float)
         return acts.reshape(-1, *([1] * (force.ndim - 1))) * force
 
     def matrix(self) -> Float[Array, "3m 3m"]:

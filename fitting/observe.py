@@ -1,0 +1,79 @@
+"""What a camera sees of a simulated robot, and when."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from derjax import State, Topology, angles, positions
+
+CHANNELS = ("x", "y", "z", "head_angle")
+"""What can be tracked: position of the head node (m) and angle of the head edge (rad)."""
+
+ANGLE = CHANNELS.index("head_angle")
+
+
+def observations(topology: Topology, states: State) -> Float[Array, "t 4"]:
+    """The channels of a stack of states, as `CHANNELS`: m, m, m, rad.
+
+    The angle counts whole turns. It is the spin of the head about its own axis, in frames
+    carried along without twist; for a head that stays near its axis, the angle in a video.
+    """
+    edge = topology.head_edge
+    if edge is None:
+        raise ValueError("a robot without a head has nothing to track")
+    position = positions(topology, states.q)[:, topology.edges[edge][0]]
+    angle = angles(topology, states.q) + 2 * jnp.pi * states.turns
+    return jnp.concatenate([position, angle[:, edge, None]], axis=1)
+
+
+class Interpolation(NamedTuple):
+    """Values between the steps of a simulation: `sum_k weights[:, k] values[indices[:, k]]`.
+
+    Attributes:
+        indices: (f, 4) steps that each time is interpolated from.
+        weights: (f, 4).
+    """
+
+    indices: np.ndarray
+    weights: np.ndarray
+
+    @property
+    def n_steps(self) -> int:
+        """Steps that have to be simulated."""
+        return int(self.indices.max(initial=0))
+
+    def __call__(self, values):
+        """Interpolates an array (t, ...) over its first axis to (f, ...); NumPy or JAX."""
+        weights = self.weights.reshape(*self.weights.shape, *(1,) * (values.ndim - 1))
+        return (weights * values[self.indices]).sum(axis=1)
+
+
+def interpolation(times: Float[np.ndarray, " f"], step: float) -> Interpolation:
+    """Cubic interpolation from steps 0, 1, 2, ... of length `step` (s) to `times` (s) >= 0.
+
+    Cubic Hermite with central differences as slopes: exact for motions quadratic in time,
+    and exact, from one step only, where a time falls on a step. It is linear in the values,
+    so sensitivities are interpolated in the same way. Before step 0 the motion is continued
+    as the parabola through steps 0, 1 and 2.
+    """
+    exact = times / step
+    whole = np.round(exact)
+    on_step = np.abs(exact - whole) < 1e-6
+    base = np.where(on_step, whole, np.floor(exact)).astype(int)
+    u = np.where(on_step, 0.0, exact - base)
+    weights = 0.5 * np.stack(
+        [
+            -u + 2 * u**2 - u**3,
+            2 - 5 * u**2 + 3 * u**3,
+            u + 4 * u**2 - 3 * u**3,
+            -(u**2) + u**3,
+        ],
+        axis=1,
+    )
+    first = base == 0
+    weights[first] = weights[first][:, [1, 2, 3, 0]]  # steps 0, 1, 2 and, for now, -1
+    weights[first] += weights[first, 3:] * np.array([3.0, -3.0, 1.0, -1.0])
+    indices = np.where(first, 0, base - 1)[:, None] + np.arange(4)
+    return Interpolation(np.where(weights == 0.0, base[:, None], indices), weights)

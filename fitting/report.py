@@ -1,0 +1,184 @@
+"""The outcome of a fit for people and programs: a figure, a JSON file, a table."""
+
+import json
+import math
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from derjax.files import atomic_path
+from derjax.scenefile import UNITS
+
+from .calibrate import Fit, RunFit
+from .observe import ANGLE, CHANNELS
+from .simulate import Simulated
+
+TRACK, BEFORE, AFTER = "#444444", "#b8bcc4", "#c8442b"
+AXES = ("#c8442b", "#2f6fb0", "#4b9a4b", "#8a56a8")
+
+
+def as_dict(fit: Fit) -> dict[str, Any]:
+    """The fit as it is written to fit.json; SI units. What is not finite becomes null."""
+    names = list(fit.estimates)
+    return {
+        "status": fit.status,
+        "parameters": {
+            name: {
+                "value": e.value,
+                "std": _finite(e.std),
+                "ci95": [_finite(end) for end in e.ci95],
+                "unit": UNITS.get(name, ""),
+                "start": fit.start[name],
+            }
+            for name, e in fit.estimates.items()
+        },
+        "correlation": {"names": names, "matrix": fit.correlation.tolist()},
+        "warnings": list(fit.warnings),
+        "loss": fit.loss,
+        "loss_history": [iteration.loss for iteration in fit.history],
+        "noise": fit.noise,
+        "runs": [
+            {
+                "track": one.run.name,
+                "motor_rpm": one.run.motor_rpm,
+                "frames": int(one.run.time.size),
+                "t_end": float(one.run.time[-1]),
+                "rms_position": one.rms.get("position"),
+                "rms_head_angle": one.rms.get("head_angle"),
+            }
+            for one in fit.runs
+        ],
+        "iterations": fit.iterations,
+        "wall_time_s": round(fit.wall_time, 3),
+        "dataset": None if fit.dataset.path is None else str(fit.dataset.path),
+        "derjax": version("derjax"),
+    }
+
+
+def _finite(number: float) -> float | None:
+    return number if math.isfinite(number) else None
+
+
+def table(fit: Fit) -> str:
+    """The parameters with standard error and 95 % interval, one a line."""
+    width = max(len(name) for name in fit.estimates)
+    lines = []
+    for name, e in fit.estimates.items():
+        unit = UNITS.get(name, "1")
+        unit = "" if unit == "1" else f" {unit}"
+        if math.isfinite(e.std):
+            # Two significant digits of the error, and the value to the same place.
+            places = max(0, 1 - math.floor(math.log10(e.std))) if e.std > 0 else 6
+            places = min(places, 12)
+            low, high = (f"{end:.{places}f}" for end in e.ci95)
+            lines.append(
+                f"{name:<{width}} = {e.value:.{places}f} +- {e.std:.{places}f}{unit} "
+                f"(95 %: {low} to {high})"
+            )
+        else:
+            lines.append(f"{name:<{width}} = {e.value:.6g}{unit} (not determined)")
+    return "\n".join(lines)
+
+
+def write(fit: Fit, directory: Path) -> tuple[Path, Path]:
+    """Write fit.json and fit.png into an existing directory; returns their paths."""
+    json_path, figure_path = directory / "fit.json", directory / "fit.png"
+    with atomic_path(json_path) as temporary:
+        text = json.dumps(as_dict(fit), indent=2, allow_nan=False)
+        temporary.write_text(text + "\n", encoding="utf-8")
+    with atomic_path(figure_path) as temporary:
+        FigureCanvasAgg(figure(fit)).print_figure(str(temporary), format="png", dpi=150)
+    return json_path, figure_path
+
+
+def figure(fit: Fit) -> Figure:
+    """Tracks over the simulation before and after the fit, one column a run.
+
+    Rows: displacement along x (or the first coordinate tracked), head angle, residuals.
+    """
+    tracked = {channel for one in fit.runs for channel in one.run.channels}
+    rows = [c for c in (min(tracked - {ANGLE}, default=None), ANGLE) if c in tracked]
+    columns = len(fit.runs)
+    canvas = Figure(figsize=(max(5.0, 3.6 * columns), 2.5 * (len(rows) + 1)), layout="constrained")
+    axes = canvas.subplots(len(rows) + 1, columns, squeeze=False, sharex="col")
+    for column, one in enumerate(fit.runs):
+        for row, channel in enumerate(rows):
+            _motion(axes[row, column], one, channel)
+        _residuals(axes[-1, column], one)
+        rpm = "" if one.run.motor_rpm is None else f" ({one.run.motor_rpm:g} rpm)"
+        axes[0, column].set_title(f"{one.run.name}{rpm}", fontsize=9)
+        axes[-1, column].set_xlabel("time (s)")
+    for row, channel in enumerate(rows):
+        label = "head angle (rad)" if channel == ANGLE else f"{CHANNELS[channel]} moved by (mm)"
+        axes[row, 0].set_ylabel(label)
+    axes[-1, 0].set_ylabel("simulation − track")  # noqa: RUF001
+    axes[0, 0].legend(fontsize=8, frameon=False)
+    for axis in axes.flat:
+        axis.spines[["top", "right"]].set_visible(False)
+        axis.tick_params(labelsize=8)
+    values = ",  ".join(f"{name} = {value:.4g}" for name, value in fit.values.items())
+    canvas.suptitle(f"{values}   ({fit.status})", fontsize=11)
+    return canvas
+
+
+def _motion(axis: Axes, one: RunFit, channel: int) -> None:
+    """One channel of a run: the track as points, the simulations as lines."""
+    run, scale = one.run, 1.0 if channel == ANGLE else 1e3
+    if channel not in run.channels:
+        axis.set_axis_off()
+        return
+    values = run.values[:, run.channels.index(channel)]
+    # Positions are shown from where the fitted simulation starts.
+    zero = 0.0 if channel == ANGLE else float(one.after.observed[0, channel])
+    track = values - zero
+    if run.free_origin and channel != ANGLE:
+        track = track + _offset(one, one.after, channel)
+
+    def line(simulated: Simulated, **style: Any) -> None:
+        shown = simulated.time <= run.time[-1] * (1 + 1e-9)
+        axis.plot(
+            simulated.time[shown], scale * (simulated.observed[shown, channel] - zero), **style
+        )
+
+    if one.before is not None:
+        line(one.before, color=BEFORE, lw=1.5, label="before the fit")
+    line(one.after, color=AFTER, lw=1.5, label="after the fit")
+    every = max(1, len(run.time) // 40)
+    axis.plot(
+        run.time[::every],
+        scale * track[::every],
+        ls="none",
+        marker="o",
+        ms=3,
+        mfc="none",
+        mec=TRACK,
+        label="track",
+    )
+
+
+def _offset(one: RunFit, simulated: Simulated, channel: int) -> float:
+    """What is added to a track of free origin to lie on the simulation (m)."""
+    run = one.run
+    at_frames = np.interp(run.time, simulated.time, simulated.observed[:, channel])
+    return float(np.mean(at_frames - run.values[:, run.channels.index(channel)]))
+
+
+def _residuals(axis: Axes, one: RunFit) -> None:
+    """Residuals of all channels of a run, positions in mm and angles in units of 0.1 rad."""
+    axis.axhline(0.0, color=BEFORE, lw=0.8)
+    for place, channel in enumerate(one.run.channels):
+        angle = channel == ANGLE
+        scale, unit = (10.0, "0.1 rad") if angle else (1e3, "mm")
+        axis.plot(
+            one.run.time,
+            scale * one.residuals[:, place],
+            color=AXES[channel],
+            lw=0.9,
+            label=f"{'angle' if angle else CHANNELS[channel]} ({unit})",
+        )
+    axis.legend(fontsize=7, frameon=False, ncols=2)

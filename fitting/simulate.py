@@ -1,0 +1,216 @@
+"""Simulated tracks with their derivatives, of any length from one compiled program.
+
+For a few parameters the derivatives are carried forward in time with the states: the tangents
+are nothing but more right-hand sides for the matrix that the step has factored anyway, and
+nothing has to be stored. The rollout is compiled for a number of steps and called as often
+as a run needs it, so runs of all lengths and motor rates share the program, and the host
+can look in between: for progress, for an interruption, for a failed step.
+"""
+
+import os
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from derjax import Report, Scene, SceneFile, State, build, rollout
+from derjax.rollout import new_report
+
+from .observe import observations
+from .tracks import Run
+from .transforms import Parameters
+
+STEPS_PER_CALL = 200
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """What a camera with a frame at every step would see.
+
+    Attributes:
+        time: (t,) s, from 0.
+        observed: (t, 4) the channels of `observe.CHANNELS`: m, m, m, rad.
+        sensitivity: (t, 4, p) their derivatives with respect to the free parameters.
+        report: how the steps went; observations after a failed step mean nothing.
+    """
+
+    time: Float[np.ndarray, " t"]
+    observed: Float[np.ndarray, "t 4"]
+    sensitivity: Float[np.ndarray, "t 4 p"]
+    report: Report
+
+
+def build_with(
+    scene: SceneFile, parameters: Parameters, free: Float[Array, " p"], rpm: Array
+) -> tuple[Scene, State]:
+    """The scene at a free vector and a motor rate; differentiable, and may be compiled."""
+    # The number of nodes follows from the file alone: it must not become a traced value.
+    with jax.ensure_compile_time_eval():
+        return build(scene, {**parameters.values(free), "rpm": rpm})
+
+
+def motor_rate(scene: SceneFile, run: Run) -> Array:
+    """Revolutions per minute of the motor in a run: its own, or that of the scene."""
+    return jnp.asarray(scene.parameters["rpm"] if run.motor_rpm is None else run.motor_rpm, float)
+
+
+def simulate(
+    scene: SceneFile, parameters: Parameters, free: Float[Array, " p"], rpm: Array, n_steps: int
+) -> tuple[Float[Array, "t 4"], Report]:
+    """Observations (m, rad) at steps 0 to `n_steps`; a function for JAX to differentiate.
+
+    For reverse mode, which suits many parameters; see `Simulator` for few.
+    """
+    built, state = build_with(scene, parameters, free, rpm)
+    states, report = rollout(built, state, n_steps, 1)
+    whole = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), state, states)
+    return observations(built.rod.topology, whole), report
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _begin(scene: SceneFile, parameters: Parameters, free: Array, rpm: Array) -> Any:
+    """State and observation at rest, and their tangents along every free parameter."""
+
+    def start(free):
+        built, state = build_with(scene, parameters, free, rpm)
+        return state, observations(built.rod.topology, jax.tree.map(lambda x: x[None], state))
+
+    push = jax.vmap(lambda along: jax.jvp(start, (free,), (along,)), out_axes=(None, 0))
+    return push(jnp.eye(free.size))
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def _continue(
+    scene: SceneFile,
+    parameters: Parameters,
+    n_steps: int,
+    free: Array,
+    rpm: Array,
+    state: State,
+    tangents: State,
+    report: Report,
+) -> Any:
+    """`n_steps` more steps: ((state, observations), report), tangents of the former."""
+
+    def go_on(free, state):
+        built, _ = build_with(scene, parameters, free, rpm)
+        states, new = rollout(built, state, n_steps, 1, report)
+        last = jax.tree.map(lambda x: x[-1], states)
+        return (last, observations(built.rod.topology, states)), new
+
+    def push(along, tangent):
+        primal, moved, new = jax.jvp(go_on, (free, state), (along, tangent), has_aux=True)
+        return (primal, new), moved
+
+    return jax.vmap(push, out_axes=(None, 0))(jnp.eye(free.size), tangents)
+
+
+class Cancelled(Exception):
+    """The simulation was asked to stop."""
+
+
+@dataclass(frozen=True)
+class Simulator:
+    """Simulates the runs of a dataset with sensitivities.
+
+    Attributes:
+        scene: what to simulate.
+        parameters: what to differentiate with respect to.
+        steps_per_call: length of the compiled rollout; runs are rounded up to a multiple.
+    """
+
+    scene: SceneFile
+    parameters: Parameters
+    steps_per_call: int = STEPS_PER_CALL
+
+    def compile(self, free: Float[np.ndarray, " p"], rpm: Array) -> None:
+        """Compile beforehand; otherwise runs that start at once would each compile."""
+        self.run(free, rpm, 1)
+
+    def run(
+        self,
+        free: Float[np.ndarray, " p"],
+        rpm: Array,
+        n_steps: int,
+        on_steps: Callable[[int], None] = lambda steps: None,
+    ) -> Simulated:
+        """At least `n_steps` steps (fewer after a failed one).
+
+        Args:
+            free: (p,) free parameters.
+            rpm: motor rate, or one for every entry of the scene's motor table.
+            n_steps: steps wanted.
+            on_steps: called with the number of steps after every call of the program; may
+                raise to stop the simulation.
+        """
+        z = jnp.asarray(free)
+        (state, first), (tangents, d_first) = _begin(self.scene, self.parameters, z, rpm)
+        observed, sensitivity = [np.asarray(first)], [np.asarray(d_first)]
+        report = new_report()
+        done = 0
+        while done < n_steps and report.ok:
+            ((state, seen), report), (tangents, d_seen) = _continue(
+                self.scene, self.parameters, self.steps_per_call, z, rpm, state, tangents, report
+            )
+            observed.append(np.asarray(seen))
+            sensitivity.append(np.asarray(d_seen))
+            done += self.steps_per_call
+            on_steps(self.steps_per_call)
+        return Simulated(
+            time=self.scene.time.step * np.arange(done + 1),
+            observed=np.concatenate(observed),
+            sensitivity=np.moveaxis(np.concatenate(sensitivity, axis=1), 0, -1),
+            report=report,
+        )
+
+    def runs(
+        self,
+        free: Float[np.ndarray, " p"],
+        rates: Sequence[Array],
+        n_steps: Sequence[int],
+        on_steps: Callable[[int], None] = lambda steps: None,
+    ) -> list[Simulated]:
+        """Several runs at once, one on each processor.
+
+        Raises:
+            KeyboardInterrupt: after the other runs have been stopped as well.
+        """
+        stop = threading.Event()
+
+        def checked(steps: int) -> None:
+            if stop.is_set():
+                raise Cancelled
+            on_steps(steps)
+
+        with ThreadPoolExecutor(min(len(rates), _processors())) as pool:
+            futures = [
+                pool.submit(self.run, free, rate, n, checked)
+                for rate, n in zip(rates, n_steps, strict=True)
+            ]
+            try:
+                return [future.result() for future in futures]
+            except BaseException:
+                stop.set()
+                for future in futures:
+                    future.cancel()
+                raise
+
+
+def steps_per_call(longest: int) -> int:
+    """A length of the compiled rollout that wastes few steps on a run of `longest` steps."""
+    calls = max(1, -(-longest // STEPS_PER_CALL))
+    return max(1, -(-longest // calls))
+
+
+def _processors() -> int:
+    """Processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

@@ -1,0 +1,26 @@
+"""Settings for every test: double precision, no display, compiled programs kept."""
+
+import os
+from pathlib import Path
+
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+import jax
+import numpy as np
+import pytest
+
+import derjax  # noqa: F401  (switches JAX to double precision)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep compiled programs from one run of the tests to the next."""
+    chosen = os.environ.get("JAX_COMPILATION_CACHE_DIR")
+    kept = Path(chosen) if chosen else config.rootpath / ".pytest_cache" / "jax"
+    jax.config.update("jax_compilation_cache_dir", str(kept))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """Random numbers, the same in every run."""
+    return np.random.default_rng(20230301)

@@ -1,0 +1,54 @@
+"""A robot of nine nodes and two short synthetic tracks of it, compiled once for all tests."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from derjax import SceneFile
+from derjax.scenefile import check
+from fitting.observe import interpolation
+from fitting.simulate import Simulator, motor_rate
+from fitting.tracks import Dataset, Run
+from fitting.transforms import choose
+
+TRUTH = {"C_t": 4.8, "C_r": 0.36}
+STEPS = 40
+
+
+@pytest.fixture(scope="session")
+def scene() -> SceneFile:
+    """A coarse robot; the drag prefactors of its file are a start far from the truth."""
+    content = {
+        "robot": {"edge_length": 0.03},
+        "head": {"C_t": 1.0, "C_r": 1.0},
+        "time": {"step": 0.05, "end": 2.0},
+    }
+    return check(SceneFile, content, Path("tiny.toml"))
+
+
+@pytest.fixture(scope="session")
+def simulator(scene: SceneFile) -> Simulator:
+    """Simulates it with respect to the two drag prefactors."""
+    return Simulator(scene, choose(("C_t", "C_r"), scene.parameters), STEPS)
+
+
+def synthetic_run(
+    simulator: Simulator, rpm: float, times: np.ndarray, truth: dict[str, float], **fields
+) -> Run:
+    """The track that a perfect camera would give at some times (s)."""
+    bare = Run("", times, (), np.empty((len(times), 0)), rpm)
+    free = simulator.parameters.free(truth)
+    at_frames = interpolation(times, simulator.scene.time.step)
+    simulated = simulator.run(free, motor_rate(simulator.scene, bare), at_frames.n_steps)
+    assert simulated.report.ok
+    values = at_frames(simulated.observed)
+    return Run(f"rpm{rpm:g}", times, (0, 1, 2, 3), values, rpm, **fields)
+
+
+@pytest.fixture(scope="session")
+def dataset(simulator: Simulator) -> Dataset:
+    """Two runs without noise, at times that are not those of the steps, nor evenly spaced."""
+    times = np.linspace(0.11, 1.9, 15) ** 1.1 * 0.9
+    runs = [synthetic_run(simulator, rpm, times, TRUTH) for rpm in (60.0, 110.0)]
+    return Dataset(simulator.scene, tuple(runs))

@@ -1,0 +1,171 @@
+"""Calibration against synthetic tracks with known parameters."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from derjax import InputError, SolverError
+from fitting import calibrate as calibrate_module
+from fitting.calibrate import beginning_of, calibrate
+from fitting.tracks import Dataset
+
+TRUTH = {"C_t": 4.8, "C_r": 0.36}
+"""Of the synthetic tracks."""
+
+
+@pytest.fixture(scope="module")
+def fit(dataset):
+    return calibrate(dataset)
+
+
+def test_parameters_are_recovered_from_perfect_tracks(fit) -> None:
+    assert fit.status == "converged"
+    assert fit.start == {"C_t": 1.0, "C_r": 1.0}
+    assert fit.values == pytest.approx(TRUTH, rel=1e-5)
+    assert fit.iterations <= 12
+    assert fit.warnings == ()
+    for one in fit.runs:
+        assert one.rms["position"] < 1e-8
+        assert one.rms["head_angle"] < 1e-5
+
+
+def test_before_is_the_simulation_of_the_start(fit, simulator) -> None:
+    expected = simulator.run(np.zeros(2), np.asarray(60.0), 30)
+    assert np.allclose(fit.runs[0].before.observed, expected.observed, atol=1e-12)
+    assert np.abs(fit.runs[0].before.observed - fit.runs[0].after.observed).max() > 1e-3
+
+
+def noisy(dataset: Dataset, seed: int, **fields) -> Dataset:
+    rng = np.random.default_rng(seed)
+    sigma = np.array([5e-5, 5e-5, 5e-5, 0.01])
+    runs = [
+        replace(run, values=run.values + sigma * rng.normal(size=run.values.shape), **fields)
+        for run in dataset.runs
+    ]
+    return replace(dataset, runs=tuple(runs))
+
+
+def test_noise_is_estimated_and_explains_the_error(dataset) -> None:
+    fit = calibrate(noisy(dataset, 7), compare=False)
+    assert fit.noise["position"] == pytest.approx(5e-5, rel=0.3)
+    assert fit.noise["head_angle"] == pytest.approx(0.01, rel=0.4)
+    for name, estimate in fit.estimates.items():
+        assert 0 < estimate.std < 0.2 * estimate.value
+        assert abs(estimate.value - TRUTH[name]) < 4 * estimate.std
+        assert estimate.ci95[0] < estimate.value < estimate.ci95[1]
+    assert fit.runs[0].before is None
+
+
+def test_errors_are_those_of_repeated_fits(dataset) -> None:
+    start = TRUTH
+    fits = [
+        calibrate(noisy(dataset, seed, sigma=5e-5, sigma_angle=0.01), initial=start, compare=False)
+        for seed in range(24)
+    ]
+    for name in TRUTH:
+        spread = np.std([fit.values[name] for fit in fits], ddof=1)
+        claimed = np.mean([fit.estimates[name].std for fit in fits])
+        # 24 fits know a standard deviation to 15 %.
+        assert claimed == pytest.approx(spread, rel=0.45)
+
+
+def test_given_noise_is_taken_as_given(dataset) -> None:
+    once = calibrate(noisy(dataset, 3, sigma=5e-5, sigma_angle=0.01), compare=False)
+    twice = calibrate(noisy(dataset, 3, sigma=1e-4, sigma_angle=0.02), compare=False)
+    assert once.noise == pytest.approx({"position": 5e-5, "head_angle": 0.01})
+    for name in TRUTH:
+        assert twice.values[name] == pytest.approx(once.values[name], rel=1e-3)
+        ratio = twice.estimates[name].std / once.estimates[name].std
+        assert ratio == pytest.approx(2.0, rel=1e-2)
+
+
+def test_only_displacements_count_with_a_free_origin(dataset) -> None:
+    shift = np.array([0.4, -0.1, 0.02, 0.0])
+    runs = [replace(run, values=run.values + shift, free_origin=True) for run in dataset.runs]
+    fit = calibrate(replace(dataset, runs=tuple(runs)), compare=False)
+    assert fit.values == pytest.approx(TRUTH, rel=1e-4)
+
+
+def test_one_channel_is_enough_for_one_parameter(dataset) -> None:
+    run = dataset.runs[1]
+    run = replace(run, channels=(3,), values=run.values[:, 3:])
+    scene = dataset.scene
+    scene = scene.model_copy(update={"head": scene.head.model_copy(update={"C_t": 4.8})})
+    fit = calibrate(Dataset(scene, (run,)), ("C_r",), compare=False)
+    assert fit.values["C_r"] == pytest.approx(0.36, rel=1e-4)
+
+
+def test_a_common_scale_of_all_forces_is_reported(dataset) -> None:
+    run = dataset.runs[1]
+    names = ("C_t", "C_r", "youngs_modulus", "viscosity")
+    fit = calibrate(
+        replace(dataset, runs=(run,)), names, TRUTH, compare=False, coarse=False, max_iterations=4
+    )
+    (warning,) = [w for w in fit.warnings if "not identifiable" in w]
+    assert "youngs_modulus and viscosity" in warning
+    assert "scale" in warning
+    assert np.isinf(fit.estimates["viscosity"].std)
+    assert np.isinf(fit.estimates["youngs_modulus"].std)
+
+
+def test_progress_tells_rate_and_time_left(dataset) -> None:
+    seen = []
+    fit = calibrate(dataset, initial=TRUTH, progress=seen.append)
+    done = [progress for progress in seen if progress.latest is not None]
+    assert len(done) == len(fit.history)
+    assert done[-1].values == pytest.approx(fit.values)
+    assert all(p.rate > 0 and p.seconds_left >= 0 for p in done)
+    assert {p.stage for p in seen} >= {"compile", "fit", "compare"}
+    assert seen[-1].seconds_left == 0
+
+
+@pytest.mark.parametrize("at", [1, 2])
+def test_an_interruption_keeps_the_best(dataset, at) -> None:
+    count = 0
+
+    def interrupt(progress) -> None:
+        nonlocal count
+        count += progress.latest is not None
+        if count == at:
+            raise KeyboardInterrupt
+
+    fit = calibrate(dataset, progress=interrupt, coarse=False)
+    assert fit.status == "interrupted"
+    assert len(fit.history) == at
+    assert fit.loss == min(iteration.loss for iteration in fit.history)
+    assert fit.runs[0].before is None
+    assert np.isfinite([e.std for e in fit.estimates.values()]).all()
+
+
+def test_an_interruption_before_any_result_is_passed_on(dataset) -> None:
+    def interrupt(progress) -> None:
+        if progress.stage != "compile":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(dataset, progress=interrupt)
+
+
+def test_a_start_that_cannot_be_simulated_is_explained(dataset) -> None:
+    solver = dataset.scene.solver.model_copy(update={"max_iterations": 1})
+    scene = dataset.scene.model_copy(update={"solver": solver})
+    says = r"with C_t = 1, C_r = 1: run 'rpm60': .* t = 0 s failed"
+    with pytest.raises(SolverError, match=says):
+        calibrate(replace(dataset, scene=scene))
+
+
+def test_a_start_for_something_else_is_refused(dataset) -> None:
+    with pytest.raises(InputError, match="viscosity, which is not among"):
+        calibrate(dataset, initial={"viscosity": 2.0})
+
+
+def test_the_coarse_fit_goes_by_the_beginning(dataset) -> None:
+    beginning = beginning_of(dataset.runs, 1 / 8)
+    assert beginning is not None
+    for run, short in zip(dataset.runs, beginning, strict=True):
+        assert 4 <= len(short.time) < len(run.time) / 2
+        assert np.array_equal(short.values, run.values[: len(short.time)])
+    few = tuple(replace(r, time=r.time[:5], values=r.values[:5]) for r in dataset.runs)
+    assert beginning_of(few, 1 / 8) is None
+    assert calibrate_module.COARSE < 0.5

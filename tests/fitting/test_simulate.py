@@ -1,0 +1,68 @@
+"""Forward sensitivities against reverse mode and against finite differences."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fitting.simulate import simulate, steps_per_call
+
+FREE = np.log([3.0, 0.5])
+RPM = jnp.array(100.0)
+STEPS = 50
+"""More than one call of the compiled program, less than two."""
+
+
+@pytest.fixture(scope="module")
+def simulated(simulator):
+    return simulator.run(FREE, RPM, STEPS)
+
+
+def test_calls_are_joined_without_a_seam(simulator, simulated) -> None:
+    whole, report = jax.jit(
+        lambda free: simulate(simulator.scene, simulator.parameters, free, RPM, STEPS)
+    )(jnp.asarray(FREE))
+    assert bool(report.ok)
+    assert np.allclose(simulated.observed[: STEPS + 1], whole, rtol=0, atol=1e-11)
+    assert simulated.time[STEPS] == pytest.approx(STEPS * simulator.scene.time.step)
+
+
+def test_sensitivities_are_those_of_finite_differences(simulator, simulated) -> None:
+    h = 1e-4
+    for i, along in enumerate(np.eye(2)):
+        ends = [simulator.run(FREE + s * h * along, RPM, STEPS).observed for s in (1, -1)]
+        slope = (ends[0] - ends[1]) / (2 * h)
+        scale = np.abs(slope).max(axis=0)
+        error = np.abs(simulated.sensitivity[..., i] - slope) / scale
+        assert error.max() < 1e-5
+
+
+def test_sensitivities_are_those_of_reverse_mode(simulator, simulated) -> None:
+    weights = jnp.asarray(np.random.default_rng(0).normal(size=(STEPS + 1, 4)))
+
+    def total(free):
+        seen, _ = simulate(simulator.scene, simulator.parameters, free, RPM, STEPS)
+        return jnp.sum(weights * seen)
+
+    gradient = jax.jit(jax.grad(total))(jnp.asarray(FREE))
+    forward = np.tensordot(weights, simulated.sensitivity[: STEPS + 1], axes=2)
+    assert np.asarray(gradient) == pytest.approx(forward, rel=1e-6)
+
+
+def test_runs_of_other_lengths_and_rates_share_the_program(simulator, simulated) -> None:
+    from fitting.simulate import _continue
+
+    before = _continue._cache_size()
+    short, long = simulator.runs(FREE, [jnp.array(70.0), RPM], [10, STEPS])
+    assert _continue._cache_size() == before
+    assert len(short.time) == 41
+    assert np.array_equal(long.observed, simulated.observed)
+    assert np.abs(short.observed[40] - long.observed[40]).max() > 1e-3
+
+
+@pytest.mark.parametrize("longest", [1, 199, 200, 201, 999, 4000, 4002])
+def test_little_is_simulated_in_vain(longest) -> None:
+    length = steps_per_call(longest)
+    calls = -(-longest // length)
+    assert length <= 200
+    assert calls * length - longest < calls

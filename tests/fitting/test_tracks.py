@@ -1,0 +1,151 @@
+"""Datasets: what is read, and one clear message for everything that cannot be."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from derjax import InputError
+from fitting.tracks import load_dataset
+
+FRAMES = 12
+
+
+def good_rows() -> list[list[str]]:
+    """A robot that swims 0.5 mm/s from where the scene starts, with its head turning."""
+    return [
+        [f"{1 + t:g}", f"{-10.3 - 0.5 * t:g}", "0.01", f"{-0.3 * t:.3f}"] for t in range(FRAMES)
+    ]
+
+
+RUN = """
+[[runs]]
+track = "track.csv"
+motor_rpm = 70
+columns = { t = "t", x = "x_mm", y = "y_mm", head_angle = "angle" }
+length_unit = "mm"
+"""
+
+
+@pytest.fixture
+def written(tmp_path: Path):
+    """Writes a dataset; returns its path."""
+
+    def write(
+        rows: list[list[str]] | None = None,
+        run: str = RUN,
+        header: str = "t,x_mm,y_mm,angle",
+        scene: str = "",
+    ) -> Path:
+        rows = good_rows() if rows is None else rows
+        (tmp_path / "scene.toml").write_text(scene)
+        (tmp_path / "track.csv").write_text("\n".join([header, *map(",".join, rows)]) + "\n")
+        (tmp_path / "dataset.toml").write_text('scene = "scene.toml"\n' + run)
+        return tmp_path / "dataset.toml"
+
+    return write
+
+
+def changed(row: int, column: int, text: str) -> list[list[str]]:
+    rows = good_rows()
+    rows[row][column] = text
+    return rows
+
+
+def test_units_and_channels(written) -> None:
+    extra = 'time_unit = "ms"\nangle_unit = "deg"\nsigma = 0.1\nsigma_angle = 2\norigin = "track"\n'
+    (run,) = load_dataset(written(run=RUN + extra + "time_offset = 500\n")).runs
+    assert run.channels == (0, 1, 3)
+    assert np.allclose(run.time, (np.arange(1, FRAMES + 1) + 500) * 1e-3)
+    assert run.values[2] == pytest.approx([-11.3e-3, 1e-5, np.deg2rad(-0.6)])
+    assert run.sigma == pytest.approx(1e-4)
+    assert run.sigma_angle == pytest.approx(np.deg2rad(2))
+    assert run.free_origin
+    assert run.motor_rpm == 70
+
+
+def test_comments_blank_lines_and_spaces_are_allowed(written) -> None:
+    path = written(header="# filmed\n\n t , x_mm, y_mm ,angle")
+    assert load_dataset(path).runs[0].values.shape == (FRAMES, 3)
+
+
+def test_start_and_end_select_frames(written) -> None:
+    (run,) = load_dataset(written(run=RUN + "t_start = 2.0\nt_end = 11.0\n")).runs
+    assert run.time[[0, -1]] == pytest.approx([2.0, 11.0])
+
+
+def screw(motor: str) -> str:
+    return RUN.replace('length_unit = "mm"\n', "").replace("motor_rpm = 70\n", motor)
+
+
+GOOD = good_rows()
+
+CASES = {
+    "missing track": ({"run": RUN.replace("track.csv", "trak.csv")}, "trak.csv: no such file"),
+    "missing column": ({"run": RUN.replace('"y_mm"', '"y"')}, "no column 'y'; .*x_mm, y_mm"),
+    "column twice": ({"header": "t,x_mm,x_mm,angle"}, "two columns have the name 'x_mm'|no column"),
+    "nan": (
+        {"rows": changed(4, 2, "NaN")},
+        r"track.csv: line 6 \(row 5\), column 'y_mm': not a finite number: 'NaN'",
+    ),
+    "text": ({"rows": changed(0, 1, "1,5")}, r"line 2 \(row 1\)"),
+    "empty": ({"rows": changed(3, 3, "")}, r"line 5 \(row 4\), column 'angle': .*an empty field"),
+    "short row": ({"rows": [*good_rows(), ["99"]]}, r"line 14 \(row 13\), column 'x_mm'"),
+    "unsorted": ({"rows": changed(5, 0, "2.5")}, "line 7, column 't': time 2.5 is earlier"),
+    "repeated": ({"rows": changed(5, 0, "5")}, "line 7, column 't': time 5 is repeated"),
+    "few frames": ({"rows": good_rows()[:9]}, "track.csv: 9 frames; at least 10"),
+    "few selected": ({"run": RUN + "t_end = 5.0\n"}, "5 frames of 12 lie between"),
+    "before motor": ({"run": RUN + "time_offset = -3.0\n"}, "line 2, .*2 s before the motor"),
+    "mm read as m": ({"run": screw("motor_rpm = 70\n")}, "did you mean length_unit = 'mm'"),
+    "mm read as cm": (
+        {
+            "run": RUN.replace('"mm"', '"cm"'),
+            "rows": [[r[0], str(100 * float(r[1])), *r[2:]] for r in good_rows()],
+        },
+        "did you mean length_unit = 'mm'",
+    ),
+    "elsewhere": (
+        {"rows": [[r[0], str(500 + float(r[1])), *r[2:]] for r in good_rows()]},
+        "0.5 m away .* set origin = 'track'",
+    ),
+    "wrapped": (
+        {
+            "rows": [
+                [*r[:3], f"{(-0.7 * i + 3) % 6.28 - 3.14:.3f}"] for i, r in enumerate(good_rows())
+            ]
+        },
+        "line 7: the head angle jumps by 5.5",
+    ),
+    "unknown key": ({"run": RUN + "sigmas = 1\n"}, r"runs.*entry 1.*sigmas: unknown key.*'sigma'"),
+    "unknown unit": ({"run": RUN.replace('"mm"', '"inch"')}, "dataset.toml: .*length_unit.*inch"),
+    "only times": ({"run": '[[runs]]\ntrack="track.csv"\ncolumns={t="t"}\n'}, "at least one of x"),
+    "no runs": ({"run": ""}, "dataset.toml: .*runs"),
+    "bad scene": ({"scene": "[head]\nC_tt = 1\n"}, "scene.toml: .*C_tt.*'C_t'"),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_bad_input_is_named(written, case) -> None:
+    content, says = CASES[case]
+    with pytest.raises(InputError, match=says):
+        load_dataset(written(**content))
+
+
+def test_missing_dataset(tmp_path) -> None:
+    with pytest.raises(InputError, match=r"nothing\.toml: no such file"):
+        load_dataset(tmp_path / "nothing.toml")
+
+
+def test_a_motor_table_and_a_rate_contradict_each_other(written, tmp_path) -> None:
+    (tmp_path / "motor.csv").write_text("time,rpm\n0,10\n20,70\n")
+    scene = '[motor]\ntable = "motor.csv"\n'
+    with pytest.raises(InputError, match="leave motor_rpm out"):
+        load_dataset(written(scene=scene))
+    (run,) = load_dataset(written(scene=scene, run=RUN.replace("motor_rpm = 70\n", ""))).runs
+    assert run.motor_rpm is None
+
+
+def test_displacements_may_start_anywhere(written) -> None:
+    rows = [[r[0], str(500 + float(r[1])), *r[2:]] for r in good_rows()]
+    (run,) = load_dataset(written(rows=rows, run=RUN + 'origin = "track"\n')).runs
+    assert run.free_origin
