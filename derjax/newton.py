@@ -97,7 +97,9 @@ def equilibrium(
         rounding = 4.0 * jnp.finfo(q.dtype).eps * scaled(jnp.diagonal(matrix) * q)
         matrix = matrix[chosen][:, chosen]
         step = -factor(matrix, symmetric).solve(gradient[chosen])
-        direction = step if free is None else jnp.zeros_like(q).at[chosen].set(step)
+        direction = (
+            step if free is None else jnp.zeros_like(q).at[chosen].set(step, unique_indices=True)
+        )
         return direction, jnp.maximum(settings.tolerance, rounding)
 
     # One loop for Newton's steps and for halving them, so that the potential, its gradient
@@ -164,14 +166,16 @@ def _equilibrium_jvp(free, primals, tangents):
     q = checkpoint_name(q, "state")
     chosen = slice(None) if free is None else np.array(free)
     # Clamped degrees of freedom follow the guess; the others follow from F = 0.
-    clamped = jnp.zeros_like(q) if free is None else d_guess.at[chosen].set(0.0)
+    clamped = (
+        jnp.zeros_like(q) if free is None else d_guess.at[chosen].set(0.0, unique_indices=True)
+    )
     _, d_gradient = jax.jvp(lambda p, y: p.gradient(y), (potential, q), (d_potential, clamped))
     matrix = potential.hessian(lax.stop_gradient(q))[chosen][:, chosen]
     solver = factor(lax.stop_gradient(matrix), potential.symmetric)
 
     def stiffness(x):
         """The Newton matrix times x: never computed, but what higher derivatives go through."""
-        full = x if free is None else jnp.zeros_like(q).at[chosen].set(x)
+        full = x if free is None else jnp.zeros_like(q).at[chosen].set(x, unique_indices=True)
         return jax.jvp(potential.gradient, (q,), (full,))[1][chosen]
 
     step = lax.custom_linear_solve(
@@ -181,6 +185,6 @@ def _equilibrium_jvp(free, primals, tangents):
         transpose_solve=lambda _, b: solver.solve_transposed(b),
         symmetric=False,
     )
-    dq = step if free is None else clamped.at[chosen].set(step)
+    dq = step if free is None else clamped.at[chosen].set(step, unique_indices=True)
     none: Any = np.zeros((), jax.dtypes.float0)  # the tangent of an integer
     return (q, info), (dq, NewtonInfo(none, none, jnp.zeros_like(info.residual)))

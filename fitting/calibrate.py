@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -334,9 +335,8 @@ class _Calibration:
 
     def values(self, free: Float[np.ndarray, " p"]) -> dict[str, float]:
         """The parameters by name."""
-        return {
-            name: float(value) for name, value in self.parameters.values(jnp.asarray(free)).items()
-        }
+        named = self.parameters.values(jnp.asarray(free))
+        return {name: float(value) for name, value in named.items()}
 
 
 def _summary(

@@ -181,4 +181,6 @@ def _residuals(axis: Axes, one: RunFit) -> None:
             lw=0.9,
             label=f"{'angle' if angle else CHANNELS[channel]} ({unit})",
         )
-    axis.legend(fontsize=7, frameon=False, ncols=2)
+    low, high = axis.get_ylim()
+    axis.set_ylim(low, high + 0.35 * (high - low))  # room for the legend
+    axis.legend(fontsize=7, frameon=False, ncols=2, loc="upper right")

@@ -51,9 +51,7 @@ def build_with(
     scene: SceneFile, parameters: Parameters, free: Float[Array, " p"], rpm: Array
 ) -> tuple[Scene, State]:
     """The scene at a free vector and a motor rate; differentiable, and may be compiled."""
-    # The number of nodes follows from the file alone: it must not become a traced value.
-    with jax.ensure_compile_time_eval():
-        return build(scene, {**parameters.values(free), "rpm": rpm})
+    return build(scene, {**parameters.values(free), "rpm": rpm})
 
 
 def motor_rate(scene: SceneFile, run: Run) -> Array:

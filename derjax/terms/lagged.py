@@ -1,7 +1,9 @@
 """Drag evaluated explicitly, as the paper's scheme does."""
 
+import jax.numpy as jnp
+
 from ..potential import Load
-from ..pytree import pytree
+from ..pytree import pytree, replace
 from ..rod import Rod, State
 from .term import Interval, Term
 
@@ -17,5 +19,6 @@ class Lagged:
     drag: Term
 
     def contribution(self, rod: Rod, state: State, interval: Interval) -> Load:
-        drag = self.drag.contribution(rod, state, interval)
+        still = replace(state, velocity=jnp.zeros_like(state.velocity))  # no prediction
+        drag = self.drag.contribution(rod, still, interval)
         return Load(-drag.gradient(state.q + interval.length * state.velocity))

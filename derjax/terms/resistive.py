@@ -47,7 +47,7 @@ def dissipation(local: Float[Array, " 3"], data: tuple[Array, Array, Array, Arra
 class ResistiveDrag:
     """`Phi = sum over nodes of l/2 v . (zeta_par t t + zeta_perp (1 - t t)) v`.
 
-    Tangents are taken at the start of the step.
+    Tangents are taken at the predicted middle of the step.
 
     Attributes:
         parallel: drag per length along the rod, Pa s.
@@ -59,7 +59,7 @@ class ResistiveDrag:
 
     def contribution(self, rod: Rod, state: State, interval: Interval) -> Elements:
         topology = rod.topology
-        x = positions(topology, state.q)
+        x = positions(topology, interval.middle(state))
         nodes, tangent, length = [], [], []
         for path in topology.filaments:
             edge = x[np.array(path[1:])] - x[np.array(path[:-1])]

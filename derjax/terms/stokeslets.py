@@ -166,7 +166,7 @@ class StokesletSegments:
         return Resistance(self, x, jnp.linalg.inv(self.mobility(x)), jnp.ones(())).matrix()
 
     def contribution(self, rod: Rod, state: State, interval: Interval) -> Quadratic:
-        x = positions(rod.topology, state.q)
+        x = positions(rod.topology, interval.middle(state))
         inverse = lax.stop_gradient(jnp.linalg.inv(self.mobility(x)))
         dofs = Indices(rod.topology.node_dofs(self.nodes).ravel())
         operator = Resistance(self, x, inverse, interval.length)

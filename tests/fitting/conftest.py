@@ -13,7 +13,8 @@ from fitting.tracks import Dataset, Run
 from fitting.transforms import choose
 
 TRUTH = {"C_t": 4.8, "C_r": 0.36}
-STEPS = 40
+TIMES = np.linspace(0.11, 1.9, 15) ** 1.1 * 0.9
+"""Not those of the steps, nor evenly spaced; s."""
 
 
 @pytest.fixture(scope="session")
@@ -30,7 +31,8 @@ def scene() -> SceneFile:
 @pytest.fixture(scope="session")
 def simulator(scene: SceneFile) -> Simulator:
     """Simulates it with respect to the two drag prefactors."""
-    return Simulator(scene, choose(("C_t", "C_r"), scene.parameters), STEPS)
+    steps = interpolation(TIMES, scene.time.step).n_steps  # as in `calibrate`: one program
+    return Simulator(scene, choose(("C_t", "C_r"), scene.parameters), steps)
 
 
 def synthetic_run(
@@ -48,7 +50,6 @@ def synthetic_run(
 
 @pytest.fixture(scope="session")
 def dataset(simulator: Simulator) -> Dataset:
-    """Two runs without noise, at times that are not those of the steps, nor evenly spaced."""
-    times = np.linspace(0.11, 1.9, 15) ** 1.1 * 0.9
-    runs = [synthetic_run(simulator, rpm, times, TRUTH) for rpm in (60.0, 110.0)]
+    """Two runs without noise."""
+    runs = [synthetic_run(simulator, rpm, TIMES, TRUTH) for rpm in (60.0, 110.0)]
     return Dataset(simulator.scene, tuple(runs))
