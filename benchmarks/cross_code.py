@@ -95,10 +95,15 @@ def simulate(file: SceneFile) -> Track:
     return Track(np.asarray(states.time), nodes[:, 0, 0], angle, length, nodes[at_ten])
 
 
-def rate(track: Track, values: np.ndarray) -> float:
-    """Slope of a straight line through the last 20 s."""
-    late = track.time >= 20.0 - 1e-9
-    return float(np.polyfit(track.time[late], values[late], 1)[0])
+def late(track: Track, since: float) -> np.ndarray:
+    """Which frames are not earlier than `since` (s)."""
+    return track.time >= since - 1e-9
+
+
+def rate(track: Track, values: np.ndarray, since: float) -> float:
+    """Slope of a straight line through the frames from `since` (s) on."""
+    chosen = late(track, since)
+    return float(np.polyfit(track.time[chosen], values[chosen], 1)[0])
 
 
 def node_error(ours: np.ndarray, theirs: np.ndarray) -> float:
@@ -111,15 +116,17 @@ def node_error(ours: np.ndarray, theirs: np.ndarray) -> float:
     return float(np.sqrt(squared.mean()) / HELIX_RADIUS)
 
 
-def compare(rpm: int, ours: Track) -> dict[str, float]:
-    """Relative differences from the reference."""
-    theirs = reference(rpm)
-    late = theirs.time >= 20.0 - 1e-9
+def compare(rpm: int, ours: Track, since: float = 20.0) -> dict[str, float]:
+    """Relative differences from the reference, from `since` (s) to the end of our track."""
+    whole = reference(rpm)
+    theirs = Track(*(part[: len(ours.time)] for part in whole[:4]), whole.nodes)
+    ours_late, theirs_late = late(ours, since), late(theirs, since)
     row = {
         "rpm": rpm,
-        "v_x": rate(ours, ours.x) / rate(theirs, theirs.x) - 1,
-        "head_rate": rate(ours, ours.head_angle) / rate(theirs, theirs.head_angle) - 1,
-        "head_to_tail": ours.length[late].mean() / theirs.length[late].mean() - 1,
+        "v_x": rate(ours, ours.x, since) / rate(theirs, theirs.x, since) - 1,
+        "head_rate": rate(ours, ours.head_angle, since) / rate(theirs, theirs.head_angle, since)
+        - 1,
+        "head_to_tail": ours.length[ours_late].mean() / theirs.length[theirs_late].mean() - 1,
         "nodes": np.nan,
     }
     if theirs.nodes is not None and ours.nodes is not None:

@@ -68,6 +68,11 @@ class _Search:
     status: Array
 
 
+def _insert(q: Dofs, values: Array | float, free: tuple[int, ...]) -> Dofs:
+    """`q` with `values` at the free degrees of freedom."""
+    return q.at[np.array(free)].set(values, unique_indices=True)
+
+
 @partial(jax.custom_jvp, nondiff_argnums=(3,))
 def equilibrium(
     potential: Potential, guess: Dofs, settings: NewtonSettings, free: tuple[int, ...] | None
@@ -175,7 +180,7 @@ def _equilibrium_jvp(free, primals, tangents):
 
     def stiffness(x):
         """The Newton matrix times x: never computed, but what higher derivatives go through."""
-        full = x if free is None else jnp.zeros_like(q).at[chosen].set(x, unique_indices=True)
+        full = x if free is None else _insert(jnp.zeros_like(q), x, free)
         return jax.jvp(potential.gradient, (q,), (full,))[1][chosen]
 
     step = lax.custom_linear_solve(
@@ -185,6 +190,6 @@ def _equilibrium_jvp(free, primals, tangents):
         transpose_solve=lambda _, b: solver.solve_transposed(b),
         symmetric=False,
     )
-    dq = step if free is None else clamped.at[chosen].set(step, unique_indices=True)
+    dq = step if free is None else _insert(clamped, step, free)
     none: Any = np.zeros((), jax.dtypes.float0)  # the tangent of an integer
     return (q, info), (dq, NewtonInfo(none, none, jnp.zeros_like(info.residual)))

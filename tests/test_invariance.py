@@ -1,4 +1,4 @@
-"""Symmetries that every term must have: of space, of labels, of the drag matrices."""
+"""What holds for every term: derivatives, symmetries of space, of labels, of drag matrices."""
 
 from functools import partial
 
@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import elasticity, perturbed, potential, rest, rotation
+from helpers import carry, elasticity, perturbed, potential, rest, rotation
 
 from derjax import State, Topology, angles, chain, positions
 from derjax.pytree import replace
@@ -77,10 +77,48 @@ def deformed(seed: int) -> tuple[State, jax.Array]:
     return state, perturbed(ROD, state, rng, 0.05).q
 
 
+WITH_POTENTIAL = (*ELASTIC, "head", "RFT", "RSS")
+
+
+@jax.jit
+def derivatives(state, q, along):
+    """By the term's own formulas and by automatic differentiation, in one direction."""
+    found = {}
+    for name in WITH_POTENTIAL:
+        total = potential(ROD, state, (TERMS[name],), STEP)
+        gradient = jax.grad(total.value)(q)
+        change = jax.jvp(total.gradient, (q,), (along,))[1]
+        found[name] = total.gradient(q), gradient, total.hessian(q), change
+    return found
+
+
 def act(q, turn, shift):
     """`q` turned and shifted; angles stay."""
     x = positions(ROD.topology, q) @ turn.T + shift
     return jnp.concatenate([x.ravel(), angles(ROD.topology, q)])
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_forces_and_stiffness_are_derivatives_of_the_potential(seed):
+    """Away from the state at which the step began, where frames have been transported."""
+    state, q = deformed(seed)
+    along = np.random.default_rng(300 + seed).standard_normal(len(q))
+    for name, (gradient, by_jax, hessian, change) in derivatives(state, q, along).items():
+        size, stiffest = float(jnp.abs(gradient).max()), float(jnp.abs(hessian).max())
+        np.testing.assert_allclose(gradient, by_jax, atol=1e-12 * size, err_msg=name)
+        np.testing.assert_allclose(hessian, hessian.T, atol=1e-13 * stiffest, err_msg=name)
+        np.testing.assert_allclose(hessian @ along, change, atol=1e-11 * stiffest, err_msg=name)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_energies_are_those_of_the_shape_reached(seed):
+    """The energy that a step sees at its end is that of a rod whose frames were carried there."""
+    state, q = deformed(seed)
+    there = carry(ROD, state, q)
+    for name, term in ELASTIC.items():
+        seen = potential(ROD, state, (term,), STEP).value(q)
+        of_shape = potential(ROD, there, (term,), STEP).value(there.q)
+        assert float(seen) == pytest.approx(float(of_shape), rel=1e-11), name
 
 
 @pytest.fixture(scope="module", params=SEEDS)

@@ -1,5 +1,7 @@
 """Rollouts: what they return, how they fail, and what their derivatives cost in memory."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -56,7 +58,7 @@ def test_first_order_in_time():
     for n in (20, 40, 80, 160):
         states, _ = _rollout(replace(scene, step_length=jnp.array(0.4 / n)), start, 1, n)
         ends.append(np.asarray(states.q[-1]))
-    gaps = [np.abs(a - b).max() for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    gaps = [np.abs(a - b).max() for a, b in itertools.pairwise(ends)]
     orders = np.log2(np.array(gaps[:-1]) / np.array(gaps[1:]))
     np.testing.assert_allclose(orders[-1], 1.0, atol=0.1)
 
