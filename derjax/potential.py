@@ -176,8 +176,8 @@ class Load:
     def gradient(self, q: Dofs) -> Dofs:
         return -self.force
 
-    def hessian(self, q: Dofs) -> Matrix | float:
-        return 0.0
+    def hessian(self, q: Dofs) -> Matrix:
+        return jnp.zeros((q.size, q.size), q.dtype)
 
 
 Contribution = Elements | Quadratic | Diagonal | Load

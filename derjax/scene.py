@@ -1,8 +1,10 @@
 """From a scene file to the terms that it names: the registry of physical ingredients."""
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -41,11 +43,16 @@ def build(scene: SceneFile, parameters: Parameters | None = None) -> tuple[Scene
     Raises:
         KeyError: a parameter that the scene does not have.
     """
-    p = {name: jnp.asarray(value, dtype=float) for name, value in scene.parameters.items()}
-    for name, value in (parameters or {}).items():
-        if name not in p:
-            raise KeyError(f"no parameter {name!r}; the scene has {', '.join(p)}")
-        p[name] = jnp.asarray(value, dtype=float)
+    known = scene.parameters
+    for name in parameters or {}:
+        if name not in known:
+            raise KeyError(f"no parameter {name!r}; the scene has {', '.join(known)}")
+    numbers = {**known, **(parameters or {})}
+    return _build(scene, {name: jnp.asarray(value, float) for name, value in numbers.items()})
+
+
+@partial(jax.jit, static_argnums=0)  # as one program: quicker than operation by operation
+def _build(scene: SceneFile, p: dict[str, Array]) -> tuple[Scene, State]:
     body = _body(scene, p)
     rod, state = at_rest(body.topology, body.nodes)
     built = Scene(

@@ -134,33 +134,40 @@ def uncertainty(residuals: Residuals, names: Sequence[str]) -> Uncertainty:
     correlation = covariance / np.outer(safe, safe)
     np.fill_diagonal(correlation, 1.0)
     std = np.where(lost, np.inf, std)
-    return Uncertainty(std, quantile, correlation, _warnings(names, null, vt, std))
+    return Uncertainty(std, quantile, correlation, _warnings(names, singular, null, vt, std))
 
 
 def _warnings(
-    names: Sequence[str], null: np.ndarray, vt: np.ndarray, std: np.ndarray
+    names: Sequence[str],
+    singular: np.ndarray,
+    null: np.ndarray,
+    directions: np.ndarray,
+    std: np.ndarray,
 ) -> tuple[str, ...]:
-    found = []
-    for direction in vt[null]:
+    """Sentences on the directions, and then the parameters, that the data leave open."""
+    found, named = [], set()
+    for size, exactly, direction in zip(singular, null, directions, strict=True):
+        if not exactly and size > 1.0:
+            continue
         direction = direction / direction[np.argmax(np.abs(direction))]
         involved = [i for i, share in enumerate(direction) if abs(share) > 1e-2]
-        if len(involved) == 1:
-            found.append(
-                f"{names[involved[0]]} is not identifiable: it does not change the tracks. "
-                "Do not fit it."
-            )
-            continue
+        named.update(involved)
         together = " and ".join(names[i] for i in involved)
+        if len(involved) == 1:
+            how = "does not change the tracks" if exactly else "hardly changes the tracks"
+            found.append(f"{together} is not identifiable: it {how}. Do not fit it.")
+            continue
         factors = ", ".join(f"{names[i]} x {2.0 ** direction[i]:.3g}" for i in involved)
+        stay = "stay as they are" if exactly else "change by less than their noise"
         found.append(
-            f"{together} are not identifiable together: the tracks stay as they are under "
-            f"{factors}. Tracks fix ratios of forces only, never their scale: give one of "
-            "these parameters a value measured in another way, and fit the others."
+            f"{together} are not identifiable together: the tracks {stay} under {factors}. "
+            "Tracks fix ratios of forces, not their scale: give one of these parameters a "
+            "value measured in another way, and fit the others."
         )
     found += [
         f"{names[i]} is not determined by these data: its standard error exceeds its value."
         for i, error in enumerate(std)
-        if 1.0 < error < np.inf
+        if 1.0 < error < np.inf and i not in named
     ]
     return tuple(found)
 

@@ -77,19 +77,19 @@ def deformed(seed: int) -> tuple[State, jax.Array]:
     return state, perturbed(ROD, state, rng, 0.05).q
 
 
-WITH_POTENTIAL = (*ELASTIC, "head", "RFT", "RSS")
+@jax.jit
+def energies(state, q):
+    """Of stretching, bending and twisting at `q`, as seen in a step from `state`."""
+    return [potential(ROD, state, (term,), STEP).value(q) for term in ELASTIC.values()]
 
 
 @jax.jit
 def derivatives(state, q, along):
-    """By the term's own formulas and by automatic differentiation, in one direction."""
-    found = {}
-    for name in WITH_POTENTIAL:
-        total = potential(ROD, state, (TERMS[name],), STEP)
-        gradient = jax.grad(total.value)(q)
-        change = jax.jvp(total.gradient, (q,), (along,))[1]
-        found[name] = total.gradient(q), gradient, total.hessian(q), change
-    return found
+    """Of all that has a potential, by derjax's formulas and by automatic differentiation."""
+    terms = (*ELASTIC.values(), DRAG["head"], DRAG["RFT"], DRAG["RSS"])
+    total = potential(ROD, state, terms, STEP)
+    change = jax.jvp(total.gradient, (q,), (along,))[1]
+    return total.gradient(q), jax.grad(total.value)(q), total.hessian(q), change
 
 
 def act(q, turn, shift):
@@ -103,11 +103,11 @@ def test_forces_and_stiffness_are_derivatives_of_the_potential(seed):
     """Away from the state at which the step began, where frames have been transported."""
     state, q = deformed(seed)
     along = np.random.default_rng(300 + seed).standard_normal(len(q))
-    for name, (gradient, by_jax, hessian, change) in derivatives(state, q, along).items():
-        size, stiffest = float(jnp.abs(gradient).max()), float(jnp.abs(hessian).max())
-        np.testing.assert_allclose(gradient, by_jax, atol=1e-12 * size, err_msg=name)
-        np.testing.assert_allclose(hessian, hessian.T, atol=1e-13 * stiffest, err_msg=name)
-        np.testing.assert_allclose(hessian @ along, change, atol=1e-11 * stiffest, err_msg=name)
+    gradient, by_jax, hessian, change = derivatives(state, q, jnp.asarray(along))
+    size, stiffest = float(jnp.abs(gradient).max()), float(jnp.abs(hessian).max())
+    np.testing.assert_allclose(gradient, by_jax, atol=1e-13 * size)
+    np.testing.assert_allclose(hessian, hessian.T, atol=1e-14 * stiffest)
+    np.testing.assert_allclose(hessian @ along, change, atol=1e-13 * stiffest)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -115,10 +115,7 @@ def test_energies_are_those_of_the_shape_reached(seed):
     """The energy that a step sees at its end is that of a rod whose frames were carried there."""
     state, q = deformed(seed)
     there = carry(ROD, state, q)
-    for name, term in ELASTIC.items():
-        seen = potential(ROD, state, (term,), STEP).value(q)
-        of_shape = potential(ROD, there, (term,), STEP).value(there.q)
-        assert float(seen) == pytest.approx(float(of_shape), rel=1e-11), name
+    np.testing.assert_allclose(energies(state, q), energies(there, there.q), rtol=1e-11)
 
 
 @pytest.fixture(scope="module", params=SEEDS)
@@ -184,7 +181,7 @@ def test_drag_on_a_turning_head_is_that_of_its_angular_velocity():
     q = jnp.concatenate([turned.ravel(), edge_angles])
     interval = Interval(jnp.asarray(step), jnp.zeros(1))
     head = DRAG["head"]
-    gradient = head.contribution(ROD, state, interval).gradient(q)
+    gradient = jax.jit(lambda x: head.contribution(ROD, state, interval).gradient(x))(q)
     assert float(gradient[3 * N_NODES]) == pytest.approx(float(head.spin) * omega @ axis, rel=1e-4)
     force = positions(ROD.topology, gradient)[1]
     moment = np.cross(x[1] - x[0], force)
@@ -218,8 +215,8 @@ def test_a_body_at_rest_feels_no_drag(name):
 def test_drag_is_a_symmetric_matrix_that_only_dissipates(name):
     """On the degrees of freedom it acts on; also for a rod that is anything but straight."""
     state, _ = deformed(1)
-    contribution = TERMS[name].contribution(ROD, state, INTERVAL)
-    matrix = np.asarray(jax.jit(contribution.hessian)(state.q))
+    contribution = jax.jit(TERMS[name].contribution)(ROD, state, INTERVAL)
+    matrix = np.asarray(jax.jit(type(contribution).hessian)(contribution, state.q))
     np.testing.assert_allclose(matrix, matrix.T, atol=1e-13 * np.abs(matrix).max())
     acted_on = np.unique(contribution.dofs.array)
     smallest = np.linalg.eigvalsh(matrix[acted_on][:, acted_on])[0]
@@ -229,14 +226,15 @@ def test_drag_is_a_symmetric_matrix_that_only_dissipates(name):
         assert smallest > 0.1
 
 
-def test_collocation_is_symmetric_only_for_what_the_whole_body_does():
-    """How far from symmetric: a few per cent, as for published codes."""
+def test_collocation_is_not_quite_symmetric():
+    """A coarse filament, bent at random, is off by a tenth."""
     state, _ = deformed(1)
-    matrix = np.asarray(TERMS["RSS, collocation"].resistance(positions(ROD.topology, state.q)))
-    symmetric = np.asarray(TERMS["RSS"].resistance(positions(ROD.topology, state.q)))
+    x = positions(ROD.topology, state.q)
+    matrix = np.asarray(jax.jit(TERMS["RSS, collocation"].resistance)(x))
+    symmetric = np.asarray(jax.jit(TERMS["RSS"].resistance)(x))
     np.testing.assert_allclose(0.5 * (matrix + matrix.T), symmetric, atol=1e-12 * matrix.max())
     asymmetry = np.linalg.norm(matrix - matrix.T) / np.linalg.norm(matrix)
-    assert 1e-3 < asymmetry < 0.2
+    assert 0.05 < asymmetry < 0.2
     assert not TERMS["RSS, collocation"].symmetric
     assert TERMS["RSS"].symmetric
 

@@ -23,7 +23,7 @@ def scene() -> SceneFile:
     content = {
         "robot": {"edge_length": 0.03},
         "head": {"C_t": 1.0, "C_r": 1.0},
-        "time": {"step": 0.05, "end": 2.0},
+        "time": {"step": 0.05, "end": 2.0, "inertia": False},
     }
     return check(SceneFile, content, Path("tiny.toml"))
 

@@ -61,13 +61,13 @@ def test_errors_are_those_of_repeated_fits(dataset) -> None:
     start = TRUTH
     fits = [
         calibrate(noisy(dataset, seed, sigma=5e-5, sigma_angle=0.01), initial=start, compare=False)
-        for seed in range(24)
+        for seed in range(16)
     ]
     for name in TRUTH:
         spread = np.std([fit.values[name] for fit in fits], ddof=1)
         claimed = np.mean([fit.estimates[name].std for fit in fits])
-        # 24 fits know a standard deviation to 15 %.
-        assert claimed == pytest.approx(spread, rel=0.45)
+        # 16 fits know a standard deviation to 18 %.
+        assert claimed == pytest.approx(spread, rel=0.5)
 
 
 def test_given_noise_is_taken_as_given(dataset) -> None:
@@ -173,7 +173,7 @@ def test_a_start_that_cannot_be_simulated_is_explained(dataset, fails_beyond) ->
 
 def test_steps_to_where_the_simulation_fails_are_rejected(dataset, fails_beyond) -> None:
     fails_beyond(5.0)
-    fit = calibrate(dataset, initial={"C_t": 2.0, "C_r": 1.0}, compare=False, coarse=False)
+    fit = calibrate(dataset, compare=False, coarse=False)
     assert fit.status == "converged"
     assert fit.values == pytest.approx(TRUTH, rel=1e-4)
     assert not all(iteration.accepted for iteration in fit.history)

@@ -100,6 +100,7 @@ C_r = 1.0
 [time]
 step = 0.05
 end = 2.0
+inertia = false
 """
 
 

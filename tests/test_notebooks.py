@@ -1,0 +1,47 @@
+"""The notebooks run, and their executed copies have the same cells."""
+
+import os
+from pathlib import Path
+
+import jax
+import jupytext
+import nbformat
+import pytest
+from nbclient import NotebookClient
+from nbformat import NotebookNode
+
+NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.py"))
+TIMEOUT = 900
+"""Seconds that a cell may take, on a computer that is busy with something else as well."""
+
+
+def sources(notebook: NotebookNode) -> list[tuple[str, str]]:
+    """Kind and text of every cell."""
+    return [(cell.cell_type, cell.source.strip()) for cell in notebook.cells]
+
+
+def test_there_are_notebooks():
+    assert NOTEBOOKS
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_executed_copy_is_in_sync(path):
+    executed = nbformat.read(path.with_suffix(".ipynb"), as_version=4)
+    assert sources(executed) == sources(jupytext.read(path))
+    code = [cell for cell in executed.cells if cell.cell_type == "code"]
+    counts = [cell.execution_count for cell in code]
+    assert counts == list(range(1, len(code) + 1)), "not executed from top to bottom"
+    assert not [o for cell in code for o in cell.outputs if o.output_type == "error"]
+    assert [o for cell in code for o in cell.outputs if "image/png" in o.get("data", {})]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebook_runs(path, monkeypatch):
+    """From top to bottom; each checks its own numbers with assertions."""
+    cache = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
+    if cache and not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
+        monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", cache)
+    monkeypatch.delenv("MPLBACKEND", raising=False)
+    notebook = jupytext.read(path)
+    where = {"metadata": {"path": str(path.parent)}}
+    NotebookClient(notebook, timeout=TIMEOUT, kernel_name="python3", resources=where).execute()
