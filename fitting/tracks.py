@@ -28,6 +28,9 @@ TIME_UNITS = {"s": 1.0, "ms": 1e-3, "min": 60.0}
 ANGLE_UNITS = {"rad": 1.0, "deg": np.pi / 180.0}
 MIN_FRAMES = 10
 
+TYPICAL = 0.02
+"""How far robots swim, as a part of the way of a screw with their pitch."""
+
 
 class Columns(Table):
     """The names that the channels have in the header of the track; those that it has."""
@@ -231,8 +234,12 @@ def read_columns(path: Path, names: list[str]) -> tuple[Float[np.ndarray, "f c"]
     places = [header.index(name) for name in names]
     table = np.empty((len(rows) - 1, len(names)))
     for k, row in enumerate(rows[1:]):
+        if len(row) != len(header) and any(row[len(header) :] or [True]):
+            raise InputError(
+                f"{path}: line {lines[k + 1]}: {len(row)} fields, but the header has {len(header)}"
+            )
         for j, place in enumerate(places):
-            field = row[place].strip() if place < len(row) else ""
+            field = row[place].strip()
             try:
                 table[k, j] = float(field)
             except ValueError:
@@ -279,13 +286,9 @@ def check_plausible(run: Run, scene: SceneFile, length_unit: str, columns: Colum
     moved = np.linalg.norm(position - position[0], axis=1).max()
     names = ", ".join(name for channel, name in columns.tracked.items() if channel in "xyz")
     if moved > size + screw * duration:
-        smaller = [
-            unit
-            for unit, length in sorted(LENGTH_UNITS.items(), key=lambda item: -item[1])
-            if length < LENGTH_UNITS[length_unit]
-            and moved * length / LENGTH_UNITS[length_unit] <= size + screw * duration
-        ]
-        hint = f"; did you mean length_unit = '{smaller[0]}'?" if smaller else ""
+        would = {unit: moved * m / LENGTH_UNITS[length_unit] for unit, m in LENGTH_UNITS.items()}
+        likely = min(would, key=lambda u: abs(np.log(would[u] / (TYPICAL * screw * duration))))
+        hint = "" if likely == length_unit else f"; did you mean length_unit = '{likely}'?"
         raise InputError(
             f"{run.name}: columns {names}: in {duration:.4g} s the head moves by {moved:.4g} m "
             f"(length_unit = '{length_unit}'), but a robot {size:.2g} m long with this motor "

@@ -78,6 +78,7 @@ rpm = 60
 [time]
 step = 0.02
 end = 5.0
+inertia = false     # at such Reynolds numbers mass hardly counts
 
 [solver]
 tolerance = 1e-12   # far below what pictures need: we are going to compare derivatives
@@ -281,8 +282,8 @@ plt.close(figure)
 print(f"E and viscosity together: {np.abs(relative[:, 2] + relative[:, 3]).max():.1e}")
 
 # %% [markdown]
-# The bars of Young's modulus and of the viscosity are equal and opposite. Without inertia, which is
-# all but absent here, the motion depends on their ratio only: **tracks fix ratios of forces and
+# The bars of Young's modulus and of the viscosity are equal and opposite. Without inertia
+# the motion depends on their ratio only: **tracks fix ratios of forces and
 # never their scale**. Fit one of the two, or neither, and measure the other.
 #
 # ## 5. Calibration
