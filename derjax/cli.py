@@ -15,7 +15,7 @@ import sys
 from collections.abc import Sequence
 from importlib.metadata import EntryPoint, entry_points, version
 
-from .runtime import enable_compilation_cache
+from .runtime import enable_compilation_cache, use_one_blas_thread
 from .scenefile import InputError
 from .status import SolverError
 
@@ -38,6 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         args = _parser(commands, argv).parse_args(argv)
         enable_compilation_cache()
+        use_one_blas_thread()
         return args.run(args)
     except (InputError, SolverError, OSError) as error:
         print(f"derjax: error: {error}", file=sys.stderr)

@@ -168,7 +168,9 @@ def _equilibrium_jvp(free, primals, tangents):
     potential, guess, settings = primals
     d_potential, d_guess, _ = tangents
     q, info = equilibrium(potential, guess, settings, free)
+    # What a rollout keeps for reverse mode, so that Newton's iterations need not be replayed.
     q = checkpoint_name(q, "state")
+    info = replace(info, status=checkpoint_name(info.status, "state"))
     chosen = slice(None) if free is None else np.array(free)
     # Clamped degrees of freedom follow the guess; the others follow from F = 0.
     clamped = (

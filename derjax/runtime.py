@@ -6,6 +6,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import jax
+from threadpoolctl import threadpool_limits
 
 SHORTEST_COMPILATION = 0.2
 """Programs that compile faster than this (s) are not worth keeping."""
@@ -33,6 +34,15 @@ def enable_compilation_cache() -> Path | None:
         return None
     jax.config.update("jax_compilation_cache_dir", str(directory))
     return directory
+
+
+def use_one_blas_thread() -> None:
+    """Keep the linear algebra library from starting threads of its own.
+
+    The matrices of a robot are small: threads only wait for each other, and a fit, which
+    simulates its runs in parallel, takes twice the time and more.
+    """
+    threadpool_limits(1, user_api="blas")
 
 
 def _user_cache() -> Path:

@@ -155,7 +155,7 @@ class Motor(Table):
 
     @model_validator(mode="after")
     def _one(self) -> Self:
-        if {"rpm", "table"} <= self.model_fields_set:
+        if self.table is not None and "rpm" in self.model_fields_set:
             raise ValueError("rpm: give either rpm or table, not both")
         if abs(self.rpm) > FASTEST_RPM:
             raise ValueError(f"rpm = {self.rpm:g}: beyond any motor (revolutions per minute)")

@@ -131,6 +131,7 @@ def calibrate(
     coarse: bool = True,
     compare: bool = True,
     max_iterations: int = 30,
+    tolerance: float = 1e-4,
 ) -> Fit:
     """Fit parameters of the scene to the tracks by least squares.
 
@@ -146,6 +147,8 @@ def calibrate(
         coarse: whether to begin with a part of the tracks.
         compare: whether to simulate with the parameters of the start as well, for figures.
         max_iterations: of the coarse fit, and of the fit.
+        tolerance: the fit has converged when the next step would change no parameter by more
+            than this fraction, or by a change that the noise would hide.
 
     Raises:
         InputError: a parameter that does not exist or a start outside of its range.
@@ -172,7 +175,7 @@ def calibrate(
     for stage, runs in [*stages, ("fit", dataset.runs)]:
         here = free if optimum is None else optimum.free
         try:
-            found = calibration.search(stage, runs, here, max_iterations)
+            found = calibration.search(stage, runs, here, max_iterations, tolerance)
         except KeyboardInterrupt:
             if optimum is None:
                 raise
@@ -301,7 +304,12 @@ class _Calibration:
         return more * steps + later.get(stage, 0) * self.whole
 
     def search(
-        self, stage: str, runs: Sequence[Run], free: Float[np.ndarray, " p"], max_iterations: int
+        self,
+        stage: str,
+        runs: Sequence[Run],
+        free: Float[np.ndarray, " p"],
+        max_iterations: int,
+        tolerance: float,
     ) -> Optimum[list[Simulated]]:
         """The best parameters for some runs; `SolverError` if they cannot be simulated."""
         evaluations = 0
@@ -324,9 +332,14 @@ class _Calibration:
             )
 
         # The coarse fit only has to come close: its optimum is not that of the whole tracks.
-        coarse = {"gain_tolerance": 0.1, "step_tolerance": 1e-3} if stage == "coarse" else {}
+        coarse = stage == "coarse"
         optimum = minimise(
-            evaluate, free, max_iterations=max_iterations, on_iteration=on_iteration, **coarse
+            evaluate,
+            free,
+            max_iterations=max_iterations,
+            step_tolerance=max(tolerance, 1e-2) if coarse else tolerance,
+            gain_tolerance=0.1 if coarse else 1e-3,
+            on_iteration=on_iteration,
         )
         if optimum is None:
             values = ", ".join(f"{k} = {v:.6g}" for k, v in self.values(free).items())

@@ -148,7 +148,7 @@ def load_dataset(path: str | Path) -> Dataset:
         )
     runs = tuple(_read_run(path.parent / run.track, run) for run in file.runs)
     for run, described in zip(runs, file.runs, strict=True):
-        check_plausible(run, scene, described.length_unit, described.columns)
+        check_plausible(path.parent / described.track, run, scene, described)
     return Dataset(scene, runs, path)
 
 
@@ -264,8 +264,8 @@ def _check_unwrapped(path: Path, angle: Float[np.ndarray, " f"], lines: np.ndarr
         )
 
 
-def check_plausible(run: Run, scene: SceneFile, length_unit: str, columns: Columns) -> None:
-    """Refuse positions that this robot cannot have reached: they are in another unit.
+def check_plausible(path: Path, run: Run, scene: SceneFile, described: RunFile) -> None:
+    """Refuse positions in `path` that this robot cannot have reached: they are in another unit.
 
     No swimmer driven by a helix goes further in a turn of its motor than the pitch, as a
     screw in wood would; robots in fluid stay at a few per cent of that.
@@ -284,13 +284,17 @@ def check_plausible(run: Run, scene: SceneFile, length_unit: str, columns: Colum
     screw = robot.pitch * abs(rpm) / 60  # m/s
     duration = run.time[-1] - run.time[0]
     moved = np.linalg.norm(position - position[0], axis=1).max()
-    names = ", ".join(name for channel, name in columns.tracked.items() if channel in "xyz")
+    names = ", ".join(
+        name for channel, name in described.columns.tracked.items() if channel in "xyz"
+    )
     if moved > size + screw * duration:
+        length_unit = described.length_unit
         would = {unit: moved * m / LENGTH_UNITS[length_unit] for unit, m in LENGTH_UNITS.items()}
-        likely = min(would, key=lambda u: abs(np.log(would[u] / (TYPICAL * screw * duration))))
+        typical = TYPICAL * (screw * duration or size)
+        likely = min(would, key=lambda unit: abs(np.log(would[unit] / typical)))
         hint = "" if likely == length_unit else f"; did you mean length_unit = '{likely}'?"
         raise InputError(
-            f"{run.name}: columns {names}: in {duration:.4g} s the head moves by {moved:.4g} m "
+            f"{path}: columns {names}: in {duration:.4g} s the head moves by {moved:.4g} m "
             f"(length_unit = '{length_unit}'), but a robot {size:.2g} m long with this motor "
             f"can go no further than {size + screw * duration:.2g} m{hint}"
         )
@@ -300,7 +304,7 @@ def check_plausible(run: Run, scene: SceneFile, length_unit: str, columns: Colum
     distance = float(np.linalg.norm(position[0] - start))
     if distance > 0.5 * size + screw * run.time[0]:
         raise InputError(
-            f"{run.name}: columns {names}: the first frame is {distance:.3g} m away from where "
+            f"{path}: columns {names}: the first frame is {distance:.3g} m away from where "
             "the head of the scene starts; set origin = 'track' to compare displacements only"
         )
 

@@ -129,7 +129,7 @@ def expand(q, direction):
 
 
 rng = np.random.default_rng(1)
-scale = np.where(np.arange(topology.n_dofs) < 3 * topology.n_nodes, 1e-4, 1e-2)  # m, rad
+scale = np.where(np.arange(topology.n_dofs) < 3 * topology.n_nodes, 3e-5, 1e-2)  # m, rad
 q = start.q + scale * rng.standard_normal(topology.n_dofs)
 direction = scale * rng.standard_normal(topology.n_dofs)
 value, gradient, hessian, by_jax, along = expand(q, direction)
@@ -148,7 +148,9 @@ print(f"asymmetry of the Hessian: {deviation(hessian, hessian.T):.1e}")
 
 # %% [markdown]
 # The elements of the rod fill a band of the Hessian. The fluid couples every node of the
-# flagellum with every other one: that is the full block.
+# flagellum with every other one: that is the full block. Along the Newton direction P falls at
+# first, but so far from the solution its quadratic model does not hold for the whole step: hence
+# the line search, which halves a step until P (or the largest force left) falls.
 
 # %%
 n_positions = 3 * topology.n_nodes
@@ -282,9 +284,9 @@ plt.close(figure)
 print(f"E and viscosity together: {np.abs(relative[:, 2] + relative[:, 3]).max():.1e}")
 
 # %% [markdown]
-# The bars of Young's modulus and of the viscosity are equal and opposite. Without inertia
-# the motion depends on their ratio only: **tracks fix ratios of forces and
-# never their scale**. Fit one of the two, or neither, and measure the other.
+# The bars of Young's modulus and of the viscosity are equal and opposite. Without inertia the
+# motion depends on their ratio only: **tracks fix ratios of forces and never their scale**. Fit
+# one of the two, or neither, and measure the other.
 #
 # ## 5. Calibration
 #
@@ -332,26 +334,22 @@ figure.set_dpi(80)
 display(figure)
 
 # %%
-best = [iteration for iteration in fit.history if iteration.accepted]
-trail = np.exp([iteration.free for iteration in best])
-figure, ax = plt.subplots(figsize=(5.0, 3.6), layout="constrained")
-ax.plot(*trail.T, "o-", color="#1f5a82", ms=4, label="iterations")
-names = list(fit.estimates)
-center = np.array([fit.estimates[name].value for name in names])
-spread = np.array([fit.estimates[name].std for name in names])
+trail = np.exp([iteration.free for iteration in fit.history if iteration.accepted])
+spread = np.array([estimate.std for estimate in fit.estimates.values()])
 root_covariance = np.linalg.cholesky(fit.correlation * np.outer(spread, spread))
 circle = np.linspace(0, 2 * np.pi, 100)
-ellipse = center[:, None] + 2.45 * root_covariance @ np.stack([np.cos(circle), np.sin(circle)])
-ax.plot(*ellipse, color="#c1503a", label="95 % region")
-ax.plot(4.8, 0.36, "k+", ms=12, label="truth")
-ax.set(xlabel="$C_t$ (dimensionless)", ylabel="$C_r$ (dimensionless)", title="Way of the fit")
-ax.legend(frameon=False)
-inset = ax.inset_axes((0.5, 0.12, 0.45, 0.38))
-inset.plot(*ellipse, color="#c1503a")
-inset.plot(*trail[-1], "o", color="#1f5a82", ms=4)
-inset.plot(4.8, 0.36, "k+", ms=12)
-inset.set_title("close-up", fontsize=8)
-inset.tick_params(labelsize=7)
+ellipse = trail[-1][:, None] + 2.45 * root_covariance @ [np.cos(circle), np.sin(circle)]
+figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.4), layout="constrained")
+left.plot(*trail.T, "o-", color="#1f5a82", ms=4, label="iterations")
+left.set(title="Way of the fit")
+right.plot(*trail[-1], "o", color="#1f5a82", ms=4, label="fit")
+right.plot(*ellipse, color="#c1503a", label="95 % region")
+right.set(title="Where it ends")
+for ax in (left, right):
+    ax.plot(4.8, 0.36, "k+", ms=12, label="truth")
+    ax.set(xlabel="$C_t$ (dimensionless)", ylabel="$C_r$ (dimensionless)")
+    ax.margins(x=0.05, y=0.2)
+    ax.legend(frameon=False, loc="upper left", ncols=3)
 display(figure)
 plt.close(figure)
 

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 import pytest
 
-import derjax  # noqa: F401  (switches JAX to double precision)
+from derjax.runtime import use_one_blas_thread
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -18,6 +18,7 @@ def pytest_configure(config: pytest.Config) -> None:
     kept = Path(chosen) if chosen else config.rootpath / ".pytest_cache" / "jax"
     jax.config.update("jax_compilation_cache_dir", str(kept))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+    use_one_blas_thread()
 
 
 @pytest.fixture

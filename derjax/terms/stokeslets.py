@@ -2,7 +2,7 @@
 
 The flow of a straight segment that carries a force density linear along it, each point force
 spread by the blob 15 eps^4 / (8 pi (r^2 + eps^2)^(7/2)), is known in closed form (Cortez,
-Phys. Rev. Fluids 3, 2018). For a segment from y0 to y1 with v = y0 - y1, x0 = x - y0,
+J. Comput. Phys. 375, 783, 2018). For a segment from y0 to y1 with v = y0 - y1, x0 = x - y0,
 R(a)^2 = |x0 + a v|^2 + eps^2 and the moments T_mq = int_0^1 a^m R^-q da,
 
     8 pi mu u(x) = L (M1 f0 + M2 f1),

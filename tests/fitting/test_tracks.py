@@ -74,10 +74,6 @@ def test_start_and_end_select_frames(written) -> None:
     assert run.time[[0, -1]] == pytest.approx([2.0, 11.0])
 
 
-def screw(motor: str) -> str:
-    return RUN.replace('length_unit = "mm"\n', "").replace("motor_rpm = 70\n", motor)
-
-
 GOOD = good_rows()
 
 CASES = {
@@ -97,11 +93,14 @@ CASES = {
     "few frames": ({"rows": good_rows()[:9]}, "track.csv: 9 frames; at least 10"),
     "few selected": ({"run": RUN + "t_end = 5.0\n"}, "5 frames of 12 lie between"),
     "before motor": ({"run": RUN + "time_offset = -3.0\n"}, "line 2, .*2 s before the motor"),
-    "mm read as m": ({"run": screw("motor_rpm = 70\n")}, "did you mean length_unit = 'mm'"),
+    "mm read as m": (
+        {"run": RUN.replace('length_unit = "mm"\n', "")},
+        r"track.csv: columns x_mm, y_mm: .* did you mean length_unit = 'mm'",
+    ),
     "mm read as cm": (
         {
             "run": RUN.replace('"mm"', '"cm"'),
-            "rows": [[r[0], str(100 * float(r[1])), *r[2:]] for r in good_rows()],
+            "rows": [[r[0], str(15 * float(r[1])), *r[2:]] for r in good_rows()],
         },
         "did you mean length_unit = 'mm'",
     ),
