@@ -124,6 +124,13 @@ _LINEAR[3, 1, 0], _LINEAR[3, 0, 1] = 1.0, -1.0
 _LINEAR[4, 0, 0] = _LINEAR[4, 1, 1] = 1.0
 
 
+def _relative(edges: _Edges) -> tuple[Array, Array, Array]:
+    """The first frame F0 (3, 3), the rotation R = F0^T F1 (3, 3), and its five numbers."""
+    f0, f1 = edges.frame
+    rotation = f0.T @ f1
+    return f0, rotation, _LINEAR.reshape(5, 9) @ rotation.ravel()
+
+
 def _strains(
     numbers: Float[Array, " 5"], previous: Float[Array, ""]
 ) -> tuple[Float[Array, " 2"], Float[Array, ""]]:
@@ -141,8 +148,8 @@ def strains(
 
     `local` holds its three nodes (m) and two angles (rad).
     """
-    f0, f1 = _edges(local, frames).frame
-    return _strains(_LINEAR.reshape(5, 9) @ (f0.T @ f1).ravel(), frames.twist)
+    _, _, numbers = _relative(_edges(local, frames))
+    return _strains(numbers, frames.twist)
 
 
 def _turning(edges: _Edges, old_tangent: Float[Array, "2 3"]) -> Float[Array, "2 4 3"]:
@@ -209,9 +216,7 @@ class HingePotential:
     def gradient(self, local: Float[Array, " 11"], data: tuple[HingeFrames, Any]) -> Array:
         frames, parameters = data
         edges = _edges(local, frames)
-        f0, f1 = edges.frame
-        rotation = f0.T @ f1
-        numbers = _LINEAR.reshape(5, 9) @ rotation.ravel()
+        f0, rotation, numbers = _relative(edges)
         slope = jax.grad(self._of_numbers)(numbers, frames.twist, parameters)
         g = _axial((slope @ _LINEAR.reshape(5, 9)).reshape(3, 3) @ rotation.T)
         force = _turning(edges, frames.tangent) @ (f0 @ g)
@@ -220,9 +225,7 @@ class HingePotential:
     def hessian(self, local: Float[Array, " 11"], data: tuple[HingeFrames, Any]) -> Array:
         frames, parameters = data
         edges = _edges(local, frames)
-        f0, f1 = edges.frame
-        rotation = f0.T @ f1
-        numbers = _LINEAR.reshape(5, 9) @ rotation.ravel()
+        f0, rotation, numbers = _relative(edges)
         slope = jax.grad(self._of_numbers)(numbers, frames.twist, parameters)
         curved = jax.hessian(self._of_numbers)(numbers, frames.twist, parameters)
         # First and second derivative of the five linear functions of R under R -> exp([d]) R.
