@@ -1,7 +1,9 @@
 """How often the 95 % intervals of a fit contain the truth, for what a camera measures.
 
 Simulates the runs of data/camera with the true parameters, takes the sensitivities, and adds
-camera noise a hundred times (`fitting.uncertainty.coverage`). Run: python benchmarks/coverage.py
+camera noise a hundred times (`fitting.uncertainty.coverage`):
+
+    python -m benchmarks.coverage
 """
 
 from dataclasses import replace

@@ -102,9 +102,7 @@ def equilibrium(
         rounding = 4.0 * jnp.finfo(q.dtype).eps * scaled(jnp.diagonal(matrix) * q)
         matrix = matrix[chosen][:, chosen]
         step = -factor(matrix, symmetric).solve(gradient[chosen])
-        direction = (
-            step if free is None else jnp.zeros_like(q).at[chosen].set(step, unique_indices=True)
-        )
+        direction = step if free is None else _insert(jnp.zeros_like(q), step, free)
         return direction, jnp.maximum(settings.tolerance, rounding)
 
     # One loop for Newton's steps and for halving them, so that the potential, its gradient
@@ -173,9 +171,7 @@ def _equilibrium_jvp(free, primals, tangents):
     info = replace(info, status=checkpoint_name(info.status, "state"))
     chosen = slice(None) if free is None else np.array(free)
     # Clamped degrees of freedom follow the guess; the others follow from F = 0.
-    clamped = (
-        jnp.zeros_like(q) if free is None else d_guess.at[chosen].set(0.0, unique_indices=True)
-    )
+    clamped = jnp.zeros_like(q) if free is None else _insert(d_guess, 0.0, free)
     _, d_gradient = jax.jvp(lambda p, y: p.gradient(y), (potential, q), (d_potential, clamped))
     matrix = potential.hessian(lax.stop_gradient(q))[chosen][:, chosen]
     solver = factor(lax.stop_gradient(matrix), potential.symmetric)
