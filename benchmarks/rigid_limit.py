@@ -23,7 +23,7 @@ from jaxtyping import Array, Float
 
 from benchmarks.rigid import propulsion, rigid_resistance, stokeslet_resistance
 from derjax import SceneFile
-from derjax.robots import edge_count, helix, single_flagellum
+from derjax.robots import edge_count, helix, helix_contour, single_flagellum
 
 BLOBS = {"1.67e-4 m": 1.67e-4, "1.02 r0": 1.02 * 1.6e-3, "sqrt(e) r0": np.sqrt(np.e) * 1.6e-3}
 PITCHES = (5, 7, 9)
@@ -65,7 +65,8 @@ def flagellum_resistance(
 ) -> Float[Array, "6 6"]:
     """Resistance of the helix alone, or of all of the flagellum; about the head node."""
     if whole:
-        body = single_flagellum(radius, pitch, length, n_edges, handedness)
+        filament = helix(radius, pitch, length, n_edges, handedness)
+        body = single_flagellum(filament, helix_contour(radius, pitch, length) / n_edges)
         nodes = body.nodes[np.array(body.topology.filaments[0])] - body.nodes[0]
     else:
         nodes = helix(radius, pitch, length, n_edges, handedness)
@@ -92,7 +93,7 @@ def axial_motion(scene: SceneFile) -> Motion:
     """Balance of axial forces and torques between the helix alone and the head."""
     matrix = resistance(scene, whole=False)[np.ix_([0, 3], [0, 3])]
     translation, spin = head_drag(scene)
-    motor = scene.motor.rpm * 2 * np.pi / 60
+    motor = scene.motor.rates[0] * 2 * np.pi / 60
     # unknown: velocity, and rate of the flagellum; the head turns slower by the motor's rate
     total = matrix + np.diag([translation, spin])
     velocity, rate = np.linalg.solve(total, [0.0, spin * motor])
@@ -102,7 +103,7 @@ def axial_motion(scene: SceneFile) -> Motion:
 def free_motion(scene: SceneFile) -> Motion:
     """Balance of all forces and torques between the whole flagellum and the head."""
     translation, spin = head_drag(scene)
-    motor = scene.motor.rpm * 2 * np.pi / 60
+    motor = scene.motor.rates[0] * 2 * np.pi / 60
     total = resistance(scene, whole=True) + np.diag([translation] * 3 + [spin, 0.0, 0.0])
     load = np.array([0.0, 0.0, 0.0, spin * motor, 0.0, 0.0])
     velocity, rate = np.split(np.linalg.solve(total, load), 2)

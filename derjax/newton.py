@@ -139,8 +139,12 @@ def equilibrium(
             [Status.OK, Status.MAX_ITERATIONS, _SEARCHING, Status.OK, Status.LINE_SEARCH],
             Status.NON_FINITE,
         )
-        one = jnp.ones(())
-        here = _Search(q, value, gradient, residual, direction, one, tolerance, count, status)
+        length = jnp.ones(())
+        if potential.guards:
+            length = lax.cond(
+                accepted & ~solved, lambda: potential.reach(q, direction), lambda: length
+            )
+        here = _Search(q, value, gradient, residual, direction, length, tolerance, count, status)
         shorter = replace(now, length=0.5 * now.length, status=status)
         return jax.tree.map(lambda a, b: jnp.where(accepted, a, b), here, shorter)
 

@@ -1,9 +1,10 @@
-"""The incremental potential of a step, as a sum of contributions of four simple forms.
+"""The incremental potential of a step, as a sum of contributions of five simple forms.
 
 Asked for its share at the start of a step, every physical ingredient answers with
 
 - `Elements`: a scalar function of a few degrees of freedom, repeated over many stencils
-  (energies of edges and hinges, local drag, contact); differentiated by JAX;
+  (energies of edges and hinges, local drag); differentiated by JAX;
+- `Pairs`: the same over stencils that are found anew in every step (contact, friction);
 - `Quadratic`: a dense matrix acting on a displacement (hydrodynamic resistance);
 - `Diagonal`: the same with a diagonal matrix (inertia);
 - `Load`: a constant force (gravity, drag evaluated at the old state).
@@ -17,9 +18,11 @@ from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
 
 from .pytree import Indices, pytree, static
+from .status import Status
 
 Dofs = Float[Array, " d"]
 Matrix = Float[Array, "d d"]
@@ -93,6 +96,64 @@ class Elements:
         local = jax.vmap(self.potential.hessian)(q[self.dofs.array], self.data)
         rows, columns = self.dofs.array[:, :, None], self.dofs.array[:, None, :]
         return jnp.zeros((q.size, q.size), q.dtype).at[rows, columns].add(local)
+
+
+class Guard(Protocol):
+    """What must hold all the way from the start of a step to its end."""
+
+    def reach(self, q: Dofs, direction: Dofs) -> Array:
+        """The part, at most 1, of the way along `direction` that may be gone in one go."""
+        ...
+
+    def fault(self, q: Dofs) -> Array:
+        """What is wrong with a step that ends at `q`: `Status.OK` if nothing is."""
+        ...
+
+
+@pytree
+class Pairs:
+    """`sum_b potential(q[dofs[b]], data[b])` over those b that are `taken`.
+
+    Like `Elements`, but what interacts is a result of the computation: a list of fixed length,
+    not all of whose places are taken. Nothing is computed while none is.
+
+    Attributes:
+        dofs: (b, k) degrees of freedom that each element sees.
+        taken: (b,) which places of the list are in use.
+        potential: `(local (k,), data) -> scalar` in J, with its derivatives.
+        data: pytree of arrays with leading axis b.
+        guard: what the solver must not violate on its way; None if there is nothing.
+    """
+
+    dofs: Int[Array, "b k"]
+    taken: Bool[Array, " b"]
+    potential: LocalPotential = static()
+    data: Any
+    guard: Guard | None = None
+
+    def _each(self, q: Dofs, function: Callable[[Array, Any], Array]) -> Array:
+        """(b, ...) the elements' `function`, zero in places that are not taken."""
+        local = jax.vmap(function)(q[self.dofs], self.data)
+        return jnp.where(self.taken.reshape(-1, *([1] * (local.ndim - 1))), local, 0.0)
+
+    def _if_any(self, compute: Callable[[], Array], nothing: Array) -> Array:
+        return lax.cond(jnp.any(self.taken), compute, lambda: nothing)
+
+    def value(self, q: Dofs) -> Array:
+        return self._if_any(lambda: jnp.sum(self._each(q, self.potential)), jnp.zeros(()))
+
+    def gradient(self, q: Dofs) -> Dofs:
+        zero = jnp.zeros_like(q)
+        return self._if_any(
+            lambda: zero.at[self.dofs].add(self._each(q, self.potential.gradient)), zero
+        )
+
+    def hessian(self, q: Dofs) -> Matrix:
+        zero = jnp.zeros((q.size, q.size), q.dtype)
+        rows, columns = self.dofs[:, :, None], self.dofs[:, None, :]
+        return self._if_any(
+            lambda: zero.at[rows, columns].add(self._each(q, self.potential.hessian)), zero
+        )
 
 
 class Operator(Protocol):
@@ -180,7 +241,7 @@ class Load:
         return jnp.zeros((q.size, q.size), q.dtype)
 
 
-Contribution = Elements | Quadratic | Diagonal | Load
+Contribution = Elements | Pairs | Quadratic | Diagonal | Load
 
 
 @pytree
@@ -193,6 +254,23 @@ class Potential:
     def symmetric(self) -> bool:
         """Whether every contribution derives from a potential."""
         return all(c.symmetric for c in self.contributions if isinstance(c, Quadratic))
+
+    @property
+    def guards(self) -> tuple[Guard, ...]:
+        """The guards of all contributions."""
+        pairs = [c for c in self.contributions if isinstance(c, Pairs)]
+        return tuple(c.guard for c in pairs if c.guard is not None)
+
+    def reach(self, q: Dofs, direction: Dofs) -> Array:
+        """The part, at most 1, of the way along `direction` that all guards allow."""
+        return jnp.min(jnp.stack([jnp.ones(()), *(g.reach(q, direction) for g in self.guards)]))
+
+    def fault(self, q: Dofs) -> Array:
+        """The first fault that a guard finds with a step that ends at `q`."""
+        status = jnp.array(Status.OK, jnp.int32)
+        for guard in self.guards:
+            status = jnp.where(status == Status.OK, guard.fault(q), status)
+        return status
 
     def value(self, q: Dofs) -> Array:
         return jnp.asarray(sum(c.value(q) for c in self.contributions))

@@ -17,6 +17,7 @@ from .files import atomic_path
 from .rod import State
 from .rollout import Report, new_report, rollout
 from .scenefile import InputError, SceneFile
+from .status import Status
 from .step import Scene
 
 T = TypeVar("T")
@@ -66,17 +67,30 @@ def compile_frame(scene: Scene, recording: Recording, steps_per_frame: int) -> A
     return lambda state, report: compiled(scene, state, report)
 
 
-def record(advance: Advance, recording: Recording, n_frames: int) -> Iterator[None]:
+def record(
+    advance: Advance,
+    recording: Recording,
+    n_frames: int,
+    enlarge: Callable[[], Advance] | None = None,
+) -> Iterator[None]:
     """Computes frames up to `n_frames`, or to the first failed step; yields after each.
 
     A frame during which a step fails is kept if it got anywhere: it then is the state in which
     that step began. A run may be stopped after any frame and continued later by calling
     this function again: the frames are the same, bit by bit.
+
+    A frame whose contacts do not fit into their list is computed again, by what `enlarge`
+    returns.
     """
     state, report = _on_device(recording.frames[-1]), _on_device(recording.report)
     while recording.n_frames < n_frames and recording.report.ok:
         began = time.perf_counter()
-        states, report = advance(state, report)
+        start = report
+        states, report = advance(state, start)
+        while report.status == Status.CAPACITY and enlarge is not None:
+            advance = enlarge()
+            began = time.perf_counter()
+            states, report = advance(state, start)
         state = jax.tree.map(lambda leaf: leaf[0], states)
         frame = _on_host(state)
         recording.wall_time += time.perf_counter() - began

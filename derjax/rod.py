@@ -17,6 +17,28 @@ from .pytree import Indices, pytree, static
 
 
 @pytree
+class Head:
+    """Which nodes and edges of a rod are the robot's head. Hashable.
+
+    Three nodes, or two and the frame of the edge between them, give a position, a direction
+    and all three components of an angular velocity w: with t the direction of `line` and s the
+    mean rate of the angles of `edges`, which lie along it, w = t x dt/dt + s t.
+
+    Attributes:
+        node: whose position and velocity are the head's.
+        line: (start, end) nodes; their direction and that of `edges` turn with the head.
+        edges: whose angles turn with the head.
+        ahead: nodes whose mean lies ahead of `node`, in the direction of the flagella: the
+            head's axis. Empty if the axis is `line` itself.
+    """
+
+    node: int = static()
+    line: tuple[int, int] = static()
+    edges: tuple[int, ...] = static()
+    ahead: tuple[int, ...] = static(default=())
+
+
+@pytree
 class Topology:
     """Which nodes, edges and hinges a rod has. Hashable; compared by content.
 
@@ -25,8 +47,9 @@ class Topology:
         edges: for each edge its (start, end) node.
         hinges: for each hinge its (first edge, second edge); they share exactly one node.
         filaments: node paths on which the fluid acts, each a tuple of consecutive nodes.
-        head_edge: the edge that carries the head, from its head node; None without a head.
+        head: the nodes and edges of the head; None without a head.
         motors: the hinges whose natural twist is driven.
+        spindles: the clamped edges whose angle is driven; a rod has motors or spindles.
         clamped: degrees of freedom held fixed.
     """
 
@@ -34,8 +57,9 @@ class Topology:
     edges: tuple[tuple[int, int], ...] = static()
     hinges: tuple[tuple[int, int], ...] = static()
     filaments: tuple[tuple[int, ...], ...] = static(default=())
-    head_edge: int | None = static(default=None)
+    head: Head | None = static(default=None)
     motors: tuple[int, ...] = static(default=())
+    spindles: tuple[int, ...] = static(default=())
     clamped: tuple[int, ...] = static(default=())
 
     @property
@@ -142,7 +166,7 @@ class State:
         velocity: (d,) m/s and rad/s over the step just taken.
         reference_director: (e, 3) first reference director of each edge.
         reference_twist: (b,) rad, twist of the reference frames across each hinge.
-        motor_angle: (k,) rad, natural twist that each motor has added.
+        motor_angle: (k,) rad, angle that each motor has turned.
         turns: (e,) whole turns taken out of the edge angles.
         time: s.
     """
@@ -302,7 +326,7 @@ def at_rest(topology: Topology, nodes: Float[Array, "n 3"]) -> tuple[Rod, State]
         velocity=jnp.zeros_like(q),
         reference_director=director,
         reference_twist=m_ref,
-        motor_angle=jnp.zeros(len(topology.motors)),
+        motor_angle=jnp.zeros(len(topology.motors) + len(topology.spindles)),
         turns=jnp.zeros(topology.n_edges),
         time=jnp.zeros(()),
     )
@@ -327,9 +351,9 @@ def carry_frames(rod: Rod, state: State, q: Float[Array, " d"]) -> State:
     signs = topology.hinge_signs
     twist = twist + 2 * jnp.pi * (signs[:, 1] * turns[second] - signs[:, 0] * turns[first])
     motor_angle = state.motor_angle
+    motor_turns = jnp.round(motor_angle / (2 * jnp.pi))
+    motor_angle = motor_angle - 2 * jnp.pi * motor_turns
     if topology.motors:
-        motor_turns = jnp.round(motor_angle / (2 * jnp.pi))
-        motor_angle = motor_angle - 2 * jnp.pi * motor_turns
         twist = twist.at[np.array(topology.motors)].add(-2 * jnp.pi * motor_turns)
     return State(
         q=q,

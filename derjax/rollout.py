@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 from .pytree import pytree
 from .rod import State
 from .status import SolverError, Status, explain
-from .step import Scene, advance
+from .step import Scene
 
 
 @pytree
@@ -55,7 +55,7 @@ def new_report() -> Report:
 
 def _advance_and_report(scene: Scene, state: State, report: Report) -> tuple[State, Report]:
     """One step. A failed one leaves the state as it was, for every later step too."""
-    new, info = advance(scene, state)
+    new, info = scene.step(scene, state)
     good = info.status == Status.OK
     kept = jax.tree.map(lambda a, b: jnp.where(good, a, b), new, state)
     residual = lax.stop_gradient(info.residual)

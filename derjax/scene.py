@@ -1,6 +1,7 @@
 """From a scene file to the terms that it names: the registry of physical ingredients."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -9,18 +10,35 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .corrected import corrected
 from .motor import Motor
+from .neighbours import pairs_apart
 from .newton import NewtonSettings
-from .robots import Body, edge_count, single_flagellum
-from .rod import Rod, State, at_rest
+from .pytree import Indices, replace
+from .robots import (
+    Body,
+    arc,
+    around,
+    branched,
+    clamped,
+    edge_count,
+    helix,
+    helix_contour,
+    single_flagellum,
+    two_flagella,
+)
+from .rod import Rod, State, Topology, at_rest
 from .scenefile import SceneFile
-from .step import Scene
+from .step import Scene, advance
 from .terms.bend import Bend
+from .terms.contact import Contact
+from .terms.friction import Friction
 from .terms.gravity import Gravity
 from .terms.head import HeadDrag
 from .terms.inertia import Inertia
 from .terms.lagged import Lagged
 from .terms.resistive import ResistiveDrag, gray_hancock, lighthill
+from .terms.spillmann_teschner import SpillmannTeschner
 from .terms.stokeslets import StokesletSegments
 from .terms.stretch import Stretch
 from .terms.term import Term
@@ -51,48 +69,91 @@ def build(scene: SceneFile, parameters: Parameters | None = None) -> tuple[Scene
     return _build(scene, {name: jnp.asarray(value, float) for name, value in numbers.items()})
 
 
+def enlarge(scene: Scene) -> Scene:
+    """The scene with room for twice as many contacts at one time."""
+    terms = [t.enlarged() if isinstance(t, Contact | Friction) else t for t in scene.terms]
+    return replace(scene, terms=tuple(terms))
+
+
 @partial(jax.jit, static_argnums=0)  # as one program: quicker than operation by operation
 def _build(scene: SceneFile, p: dict[str, Array]) -> tuple[Scene, State]:
     body = _body(scene, p)
     rod, state = at_rest(body.topology, body.nodes)
     built = Scene(
         rod=rod,
-        terms=tuple(_terms(scene, p, rod)),
-        motor=_motor(scene, p),
+        terms=tuple(_terms(scene, p, rod, body.stiff_hinges)),
+        motor=_motor(scene, p, rod.topology),
         newton=_newton(scene, p, rod),
         step_length=jnp.asarray(scene.time.step),
+        step=corrected if scene.contact_method == "spillmann_teschner" else advance,
     )
     return built, state
 
 
 def _body(scene: SceneFile, p: dict[str, Array]) -> Body:
     robot = scene.robot
-    n_edges = edge_count(robot.helix_radius, robot.pitch, robot.axial_length, robot.edge_length)
-    return single_flagellum(
-        p["helix_radius"], p["pitch"], p["axial_length"], n_edges, robot.handedness
-    )
+    filaments, edge = _filaments(scene, p)
+    if robot.kind == "single_flagellum":
+        return single_flagellum(filaments[0], edge)
+    if robot.kind == "two_flagella":
+        return two_flagella((filaments[0], filaments[1]), edge, p["separation"])
+    separation = p.get("separation", jnp.zeros(()))
+    return {"branched": branched, "clamped": clamped}[robot.kind](filaments, edge, separation)
 
 
-def _terms(scene: SceneFile, p: dict[str, Array], rod: Rod) -> list[Term]:
+def _filaments(scene: SceneFile, p: dict[str, Array]) -> tuple[list[Array], Array]:
+    """The filaments of a robot, each in a frame of its own, and the length of their edges."""
+    robot, length = scene.robot, p["axial_length"]
+    if robot.shape == "helix":
+        radius, pitch = p["helix_radius"], p["pitch"]
+        n_edges = edge_count(robot.helix_radius, robot.pitch, robot.axial_length, robot.edge_length)
+        edge = helix_contour(radius, pitch, length) / n_edges
+        filaments = [helix(radius, pitch, length, n_edges, hand) for hand in robot.hands]
+    else:
+        n_edges = max(3, math.floor(robot.axial_length / robot.edge_length + 1e-9))
+        edge = length / n_edges
+        bend = p.get("bend", jnp.zeros(()))
+        filaments = [arc(length, bend, n_edges) for _ in robot.hands]
+    return [
+        around(phase, nodes) if phase else nodes
+        for phase, nodes in zip(robot.phases, filaments, strict=True)
+    ], edge
+
+
+def _terms(
+    scene: SceneFile, p: dict[str, Array], rod: Rod, stiff_hinges: Sequence[int]
+) -> list[Term]:
     """The terms of a scene. A new ingredient is registered here and nowhere else."""
     topology, fluid = rod.topology, scene.fluid
     radius, modulus = p["rod_radius"], p["youngs_modulus"]
     area, inertia = jnp.pi * radius**2, jnp.pi * radius**4 / 4
     shear = modulus / (2 * (1 + p["poisson_ratio"]))
     n_edges, n_hinges = topology.n_edges, len(topology.hinges)
+    relative = np.ones(n_hinges)
+    relative[list(stiff_hinges)] = scene.head.stiffness
     terms: list[Term] = [
         Stretch(jnp.full(n_edges, modulus * area)),
-        Bend(jnp.full(n_hinges, modulus * inertia)),
-        Twist(jnp.full(n_hinges, 2 * shear * inertia)),
+        Bend(modulus * inertia * relative),
+        Twist(2 * shear * inertia * relative),
     ]
-    if scene.head.drag == "stokes":
+    if topology.head is not None and scene.head.drag == "stokes":
         viscosity, size = p["viscosity"], p["head_radius"]
         spin = 8 * jnp.pi * viscosity * size**3 * p["C_r"]
-        tilt = spin if scene.head.rotation == "full" else jnp.zeros(())
+        tilt = spin if scene.head_rotation == "full" else jnp.zeros(())
         terms.append(HeadDrag(6 * jnp.pi * viscosity * size * p["C_t"], spin, tilt))
     if fluid.hydrodynamics != "none":
         drag = _stokeslets(scene, p, rod) if fluid.hydrodynamics == "rss" else _resistive(scene, p)
         terms.append(Lagged(drag) if scene.time.scheme == "explicit" else drag)
+    if scene.contact_method == "smooth":
+        contact = _contact(scene, p, rod)
+        terms.append(contact)
+        if scene.friction is not None and scene.rubbing:
+            terms.append(Friction(contact, p["friction"], jnp.array(scene.friction.slip_speed)))
+    if scene.contact_method == "spillmann_teschner":
+        mass = _mass(scene, p, rod)
+        nodes = mass[: 3 * topology.n_nodes : 3]
+        pairs = touching_pairs(scene)
+        terms.append(SpillmannTeschner(radius, nodes, jnp.zeros_like(mass), pairs))
     if scene.time.inertia or scene.time.scheme == "explicit":
         terms.append(Inertia(_mass(scene, p, rod)))
     if scene.gravity is not None:
@@ -102,10 +163,29 @@ def _terms(scene: SceneFile, p: dict[str, Array], rod: Rod) -> list[Term]:
     return terms
 
 
+def _contact(scene: SceneFile, p: dict[str, Array], rod: Rod) -> Contact:
+    pairs = touching_pairs(scene)
+    capacity = scene.contact.capacity or 2 * rod.topology.n_edges
+    return Contact(p["contact_stiffness"], p["rod_radius"], pairs, min(capacity, len(pairs.array)))
+
+
+def touching_pairs(scene: SceneFile) -> Indices:
+    """The pairs of edges of a robot that can touch.
+
+    Those between which there is less rod than pi r_0 cannot: a rod that bends back on itself
+    as tightly as its thickness allows touches itself after half a turn of that radius.
+    """
+    with jax.ensure_compile_time_eval():
+        body = _body(scene, {k: jnp.asarray(v) for k, v in scene.parameters.items()})
+        start, end = body.topology.edge_nodes.T
+        length = np.linalg.norm(np.asarray(body.nodes)[end] - np.asarray(body.nodes)[start], axis=1)
+    return pairs_apart(body.topology, length, np.pi * scene.robot.rod_radius)
+
+
 def _stokeslets(scene: SceneFile, p: dict[str, Array], rod: Rod) -> StokesletSegments:
     filaments = rod.topology.filaments
     solved = filaments
-    if scene.fluid.head_nodes_resolved == "dropped":
+    if scene.head_nodes == "dropped":
         solved = (tuple(range(rod.topology.n_nodes)),)
     return StokesletSegments(
         viscosity=p["viscosity"],
@@ -119,7 +199,11 @@ def _stokeslets(scene: SceneFile, p: dict[str, Array], rod: Rod) -> StokesletSeg
 
 def _resistive(scene: SceneFile, p: dict[str, Array]) -> ResistiveDrag:
     law = {"gray_hancock": gray_hancock, "lighthill": lighthill}[scene.fluid.resistive]
-    return ResistiveDrag(*law(p["viscosity"], p["pitch"], p["rod_radius"], p["helix_radius"]))
+    if scene.robot.shape == "helix":
+        pitch, radius = p["pitch"], p["helix_radius"]
+    else:  # no turns: the filament's length stands in for their pitch
+        pitch, radius = p["axial_length"], jnp.zeros(())
+    return ResistiveDrag(*law(p["viscosity"], pitch, p["rod_radius"], radius))
 
 
 def _node_length(rod: Rod) -> Float[Array, " n"]:
@@ -132,19 +216,24 @@ def _mass(scene: SceneFile, p: dict[str, Array], rod: Rod) -> Float[Array, " d"]
     """Mass (kg) of every position and polar moment of inertia (kg m^2) of every angle."""
     line_density = p["density"] * jnp.pi * p["rod_radius"] ** 2
     mass = line_density * _node_length(rod)
-    head = scene.head.mass
-    if head is None:
-        head = 4 / 3 * jnp.pi * p["head_radius"] ** 3 * p["density"]
-    if rod.topology.head_edge is not None:
-        mass = mass.at[rod.topology.edges[rod.topology.head_edge][0]].set(head)
+    if rod.topology.head is not None:
+        head = scene.head.mass
+        if head is None:
+            head = 4 / 3 * jnp.pi * p["head_radius"] ** 3 * p["density"]
+        mass = mass.at[rod.topology.head.node].set(head)
     polar = 0.5 * p["rod_radius"] ** 2 * line_density * rod.rest_length
     return jnp.concatenate([jnp.repeat(mass, 3), polar])
 
 
-def _motor(scene: SceneFile, p: dict[str, Array]) -> Motor:
-    rate = jnp.atleast_1d(p["rpm"])[:, None] * (2 * jnp.pi / 60)
-    times = (0.0,) if scene.motor_table is None else scene.motor_table.time
-    return Motor(jnp.array(times), rate)
+def _motor(scene: SceneFile, p: dict[str, Array], topology: Topology) -> Motor:
+    """Rates by time and motor; one rate is that of every motor."""
+    n_motors = len(topology.motors) + len(topology.spindles)
+    if scene.motor_table is None:
+        times, rate = (0.0,), jnp.broadcast_to(p["rpm"], (1, n_motors))
+    else:
+        times = scene.motor_table.time
+        rate = jnp.broadcast_to(p["rpm"].reshape(len(times), -1), (len(times), n_motors))
+    return Motor(jnp.array(times), rate * (2 * jnp.pi / 60))
 
 
 def _newton(scene: SceneFile, p: dict[str, Array], rod: Rod) -> NewtonSettings:

@@ -56,6 +56,10 @@ UNITS = {
     "C_t": "1",
     "C_r": "1",
     "rpm": "rpm",
+    "bend": "rad",
+    "separation": "m",
+    "contact_stiffness": "N/m",
+    "friction": "1",
 }
 """Units of the parameters of a scene."""
 
@@ -72,21 +76,78 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Robot(Table):
-    """[robot] Shape of the robot, in metres."""
+Handedness = Literal["left", "right"]
+MOST_FLAGELLA, MOST_ON_A_HEAD = 64, 8
 
-    kind: Literal["single_flagellum"] = "single_flagellum"
+
+class Robot(Table):
+    """[robot] Shape of the robot, in metres.
+
+    `n_flagella` is given for the kinds "branched" and "clamped". Flagella lie around the
+    robot's axis, neighbours `separation` apart; `handedness` and `phase` (rad, about the axis
+    of each) are one for all, or a list with one for each. The shape "arc" is pre-bent by the
+    angle `bend` (rad).
+    """
+
+    kind: Literal["single_flagellum", "two_flagella", "branched", "clamped"] = "single_flagellum"
+    n_flagella: Annotated[Count, Field(le=MOST_FLAGELLA)] | None = None
+    shape: Literal["helix", "straight", "arc"] = "helix"
+    bend: Finite = 0.0
     helix_radius: Length = 6.4e-3
     pitch: Length = 44.5e-3
     axial_length: Length = 95.4e-3
     rod_radius: Length = 1.6e-3
     edge_length: Length = 5.0e-3
     head_radius: Length = 31.0e-3
-    handedness: Literal["left", "right"] = "left"
+    separation: Length = 28.0e-3
+    handedness: Handedness | tuple[Handedness, ...] = "left"
+    phase: Finite | tuple[Finite, ...] = 0.0
+
+    @property
+    def count(self) -> int:
+        """Number of flagella."""
+        fixed = {"single_flagellum": 1, "two_flagella": 2}
+        return fixed.get(self.kind) or self.n_flagella or 1
+
+    @property
+    def hands(self) -> tuple[Handedness, ...]:
+        """Handedness of every flagellum."""
+        given = self.handedness
+        return (given,) * self.count if isinstance(given, str) else given
+
+    @property
+    def phases(self) -> tuple[float, ...]:
+        """Phase of every flagellum, rad."""
+        given = self.phase
+        return given if isinstance(given, tuple) else (given,) * self.count
+
+    @model_validator(mode="after")
+    def _flagella(self) -> Self:
+        counted = self.kind in ("branched", "clamped")
+        if counted and self.n_flagella is None:
+            raise ValueError(f"n_flagella: must be given for kind = {self.kind!r}")
+        if self.n_flagella is not None and not counted and self.n_flagella != self.count:
+            raise ValueError(
+                f"n_flagella = {self.n_flagella}: a robot of kind {self.kind!r} has {self.count}; "
+                "kind = 'branched' takes any number"
+            )
+        if self.kind == "branched" and self.count > MOST_ON_A_HEAD:
+            raise ValueError(f"n_flagella = {self.count}: at most {MOST_ON_A_HEAD} fit on a head")
+        for name, given in (("handedness", self.hands), ("phase", self.phases)):
+            if len(given) != self.count:
+                raise ValueError(f"{name}: {len(given)} given for {_flagella(self.count)}")
+        if self.count > 1 and self.separation <= 2 * self.rod_radius:
+            raise ValueError(
+                f"separation = {self.separation:g}: the flagella overlap; their axes must be more "
+                f"than the rod's diameter of {2 * self.rod_radius:g} m apart"
+            )
+        if self.bend and self.shape != "arc":
+            raise ValueError(f"bend = {self.bend:g}: is only for shape = 'arc'")
+        return self
 
     @model_validator(mode="after")
     def _slender(self) -> Self:
-        if self.rod_radius >= 0.5 * self.pitch:
+        if self.shape == "helix" and self.rod_radius >= 0.5 * self.pitch:
             raise ValueError(
                 f"rod_radius = {self.rod_radius:g}: the turns of the helix overlap; "
                 f"it must be less than half the pitch of {self.pitch:g} m"
@@ -97,6 +158,10 @@ class Robot(Table):
                 f"the axial_length of {self.axial_length:g} m"
             )
         return self
+
+
+def _flagella(count: int) -> str:
+    return "1 flagellum" if count == 1 else f"{count} flagella"
 
 
 class Material(Table):
@@ -123,24 +188,20 @@ class Fluid(Table):
     drag_matrix: Literal["symmetric", "collocation", "lower_triangle"] = "symmetric"
     head_nodes: Literal["excluded", "dropped"] | None = None
 
-    @property
-    def head_nodes_resolved(self) -> Literal["excluded", "dropped"]:
-        """Whether head nodes stay out of the flow problem, or only the forces on them do.
-
-        Published codes solve with them and drop the forces; the comparison options do so too.
-        """
-        if self.head_nodes is not None:
-            return self.head_nodes
-        return "excluded" if self.drag_matrix == "symmetric" else "dropped"
-
 
 class Head(Table):
-    """[head] Drag prefactors (dimensionless) and mass (kg; default: a ball of the material)."""
+    """[head] Drag prefactors (dimensionless) and mass (kg; default: a ball of the material).
+
+    `rotation` says which rotations of the head meet drag: its spin about its own axis only,
+    as in the paper's model of one flagellum, or all ("full", the default for several flagella).
+    `stiffness` is that of the arms of a head with several flagella, relative to the rod's.
+    """
 
     drag: Literal["stokes", "none"] = "stokes"
     C_t: NonNegative = 4.8
     C_r: NonNegative = 0.36
-    rotation: Literal["spin", "full"] = "spin"
+    rotation: Literal["spin", "full"] | None = None
+    stiffness: Positive = 100.0
     mass: Positive | None = None
 
 
@@ -148,18 +209,51 @@ FASTEST_RPM = 1e5
 
 
 class Motor(Table):
-    """[motor] A constant rate, or the path of a table with columns `time` (s) and `rpm`."""
+    """[motor] A constant rate, or the path of a table with columns `time` (s) and `rpm`.
 
-    rpm: Finite = 60.0
+    The rate is one for all motors, or a list with one for each; a table then has the columns
+    `rpm_1`, `rpm_2` and so on.
+    """
+
+    rpm: Finite | tuple[Finite, ...] = 60.0
     table: str | None = None
 
     @model_validator(mode="after")
     def _one(self) -> Self:
         if self.table is not None and "rpm" in self.model_fields_set:
             raise ValueError("rpm: give either rpm or table, not both")
-        if abs(self.rpm) > FASTEST_RPM:
-            raise ValueError(f"rpm = {self.rpm:g}: beyond any motor (revolutions per minute)")
+        for rpm in self.rates:
+            if abs(rpm) > FASTEST_RPM:
+                raise ValueError(f"rpm = {rpm:g}: beyond any motor (revolutions per minute)")
         return self
+
+    @property
+    def rates(self) -> tuple[float, ...]:
+        """The constant rates that are given, rpm: one for all motors, or one for each."""
+        return self.rpm if isinstance(self.rpm, tuple) else (self.rpm,)
+
+
+class Contact(Table):
+    """[contact] What keeps rods apart.
+
+    "smooth" is the default for several flagella, "none" for one. `stiffness` in N/m: by
+    default Young's modulus times the radius of the rod. `capacity`: how many pairs of edges may
+    be close at one time; it grows as needed in `derjax simulate`.
+    """
+
+    method: Literal["smooth", "spillmann_teschner", "none"] | None = None
+    stiffness: Positive | None = None
+    capacity: Count | None = None
+
+
+class Friction(Table):
+    """[friction] Coulomb friction of touching rods, regularised below `slip_speed` (m/s).
+
+    A scene without this table, or with a coefficient of zero, has no friction.
+    """
+
+    coefficient: Annotated[NonNegative, Field(le=10)] = 0.3
+    slip_speed: Positive = 1e-3
 
 
 def _is_whole(ratio: float) -> bool:
@@ -230,7 +324,7 @@ class MotorTable(Table):
     """A motor's rate over time: s and revolutions per minute, linear in between."""
 
     time: tuple[Finite, ...]
-    rpm: tuple[Finite, ...]
+    rpm: tuple[Finite | tuple[Finite, ...], ...]
 
 
 class SceneFile(Table):
@@ -242,18 +336,72 @@ class SceneFile(Table):
     head: Head = Head()
     motor: Motor = Motor()
     time: Time = Time()
+    contact: Contact = Contact()
+    friction: Friction | None = None
     gravity: Gravity | None = None
     solver: Solver = Solver()
     motor_table: MotorTable | None = Field(default=None, exclude=True)
 
     @model_validator(mode="after")
     def _local(self) -> Self:
-        if self.fluid.regularization >= self.robot.pitch:
+        robot = self.robot
+        if robot.shape == "helix" and self.fluid.regularization >= robot.pitch:
             raise ValueError(
                 f"[fluid] regularization = {self.fluid.regularization:g}: must be less than "
-                f"the [robot] pitch of {self.robot.pitch:g} m"
+                f"the [robot] pitch of {robot.pitch:g} m"
             )
+        if len(self.motor.rates) not in (1, robot.count):
+            raise ValueError(
+                f"[motor] rpm: {len(self.motor.rates)} rates given for {_flagella(robot.count)}"
+            )
+        if robot.kind == "two_flagella" and self.head.rotation == "spin":
+            raise ValueError(
+                "[head] rotation = 'spin': the head of kind = 'two_flagella' has no axis of its "
+                "own to spin about; kind = 'branched' has"
+            )
+        chain = robot.kind in ("single_flagellum", "two_flagella")
+        if not chain and self.fluid.head_nodes == "dropped":
+            raise ValueError(
+                f"[fluid] head_nodes = 'dropped': not for a robot of kind {robot.kind!r}"
+            )
+        if self.friction is not None and self.friction.coefficient and not self.touching:
+            raise ValueError("[friction]: needs a [contact] method other than 'none'")
+        if self.friction is not None and self.contact_method == "spillmann_teschner":
+            raise ValueError("[friction]: is not part of [contact] method = 'spillmann_teschner'")
         return self
+
+    @property
+    def contact_method(self) -> Literal["smooth", "spillmann_teschner", "none"]:
+        """How rods are kept apart."""
+        return self.contact.method or ("smooth" if self.robot.count > 1 else "none")
+
+    @property
+    def touching(self) -> bool:
+        """Whether rods are kept apart at all."""
+        return self.contact_method != "none"
+
+    @property
+    def rubbing(self) -> bool:
+        """Whether there is friction."""
+        return self.friction is not None and self.friction.coefficient > 0
+
+    @property
+    def head_rotation(self) -> Literal["spin", "full"]:
+        """Which rotations of the head meet drag."""
+        return self.head.rotation or ("spin" if self.robot.count == 1 else "full")
+
+    @property
+    def head_nodes(self) -> Literal["excluded", "dropped"]:
+        """Whether head nodes stay out of the flow problem, or only the forces on them do.
+
+        Published codes solve with them and drop the forces; the comparison options do so too,
+        for robots that are one rod.
+        """
+        if self.fluid.head_nodes is not None:
+            return self.fluid.head_nodes
+        if self.robot.kind in ("branched", "clamped") or self.fluid.drag_matrix == "symmetric":
+            return "excluded"
+        return "dropped"
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -262,7 +410,7 @@ class SceneFile(Table):
         SI units, and `rpm` in revolutions per minute. With a motor table `rpm` is an array.
         """
         robot, material, fluid, head = self.robot, self.material, self.fluid, self.head
-        return {
+        numbers = {
             "helix_radius": robot.helix_radius,
             "pitch": robot.pitch,
             "axial_length": robot.axial_length,
@@ -278,6 +426,22 @@ class SceneFile(Table):
             "C_r": head.C_r,
             "rpm": self.motor.rpm if self.motor_table is None else np.array(self.motor_table.rpm),
         }
+        if robot.kind == "clamped":
+            del numbers["head_radius"], numbers["C_t"], numbers["C_r"]
+        if robot.shape != "helix":
+            del numbers["helix_radius"], numbers["pitch"]
+        if robot.shape == "arc":
+            numbers["bend"] = robot.bend
+        if robot.count > 1:
+            numbers["separation"] = robot.separation
+        if self.contact_method == "smooth":
+            default = material.youngs_modulus * robot.rod_radius
+            numbers["contact_stiffness"] = self.contact.stiffness or default
+        if self.rubbing and self.friction is not None:
+            numbers["friction"] = self.friction.coefficient
+        if isinstance(numbers["rpm"], tuple):
+            numbers["rpm"] = np.array(numbers["rpm"])
+        return numbers
 
 
 def load_scene(path: str | Path) -> SceneFile:
@@ -291,7 +455,9 @@ def load_scene(path: str | Path) -> SceneFile:
     scene = check(SceneFile, read_toml(path), path)
     if scene.motor.table is not None:
         try:
-            table = read_motor_table(path.parent / scene.motor.table, scene.time.end)
+            table = read_motor_table(
+                path.parent / scene.motor.table, scene.time.end, scene.robot.count
+            )
         except InputError as error:
             raise InputError(f"{path}: [motor] table: {error}") from None
         scene = scene.model_copy(update={"motor_table": table})
@@ -406,8 +572,10 @@ def _known_keys(model: type[BaseModel], tables: list[Any] | None = None) -> list
     return [name for name, field in model.model_fields.items() if not field.exclude]
 
 
-def read_motor_table(path: Path, end: float) -> MotorTable:
+def read_motor_table(path: Path, end: float, n_motors: int = 1) -> MotorTable:
     """A CSV file with columns `time` (s) and `rpm`, which must cover the run up to `end`.
+
+    With several motors it may instead have a column for each, `rpm_1`, `rpm_2` and so on.
 
     Raises:
         InputError: no such file, a missing column, a value that is not a finite number, times
@@ -422,19 +590,23 @@ def read_motor_table(path: Path, end: float) -> MotorTable:
     except (ValueError, OSError) as error:
         raise InputError(f"{path}: not a CSV table: {error}") from None
     frame.columns = frame.columns.astype(str).str.strip()
-    if missing := {"time", "rpm"} - set(frame.columns):
+    columns = ["rpm"]
+    if n_motors > 1 and "rpm" not in frame.columns:
+        columns = [f"rpm_{k + 1}" for k in range(n_motors)]
+    if missing := {"time", *columns} - set(frame.columns):
         raise InputError(
             f"{path}: no column {' or '.join(sorted(missing))}; a motor table has the columns "
-            f"time (s) and rpm, this one has {', '.join(frame.columns)}"
+            f"time (s) and {', '.join(columns)}, this one has {', '.join(frame.columns)}"
         )
-    numbers = frame[["time", "rpm"]].apply(pd.to_numeric, errors="coerce")
-    time, rpm = numbers.to_numpy(dtype=float).T
+    numbers = frame[["time", *columns]].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
+    time, rpm = numbers[:, 0], numbers[:, 1:]
     if len(time) == 0:
         raise InputError(f"{path}: the table is empty")
-    if len(bad := np.flatnonzero(~np.isfinite(time + rpm))):
+    if len(bad := np.flatnonzero(~np.isfinite(numbers).all(axis=1))):
         raise InputError(f"{path}: row {bad[0] + 1}: not a finite number")
-    if len(bad := np.flatnonzero(abs(rpm) > FASTEST_RPM)):
-        raise InputError(f"{path}: row {bad[0] + 1}: rpm = {rpm[bad[0]]:g}: beyond any motor")
+    if len(bad := np.flatnonzero((abs(rpm) > FASTEST_RPM).any(axis=1))):
+        worst = abs(rpm[bad[0]]).max()
+        raise InputError(f"{path}: row {bad[0] + 1}: rpm = {worst:g}: beyond any motor")
     if len(bad := np.flatnonzero(np.diff(time) <= 0)):
         raise InputError(f"{path}: row {bad[0] + 2}: times must increase")
     if time[0] > 0 or time[-1] < end * (1 - 1e-9):
@@ -442,4 +614,5 @@ def read_motor_table(path: Path, end: float) -> MotorTable:
             f"{path}: the motor table covers {time[0]:g} to {time[-1]:g} s, "
             f"but the run lasts from 0 to {end:g} s ([time] end)"
         )
-    return MotorTable(time=tuple(time.tolist()), rpm=tuple(rpm.tolist()))
+    rates = rpm[:, 0].tolist() if len(columns) == 1 else [tuple(row) for row in rpm.tolist()]
+    return MotorTable(time=tuple(time.tolist()), rpm=tuple(rates))

@@ -16,6 +16,7 @@ from . import summary as summaries
 from .files import atomic_path
 from .progress import Progress, interruptible
 from .recording import (
+    Advance,
     Recording,
     compile_frame,
     load_checkpoint,
@@ -23,7 +24,7 @@ from .recording import (
     record,
     save_checkpoint,
 )
-from .scene import build
+from .scene import build, enlarge
 from .scenefile import InputError, SceneFile, load_scene
 from .status import SolverError, Status
 from .step import Scene
@@ -87,6 +88,12 @@ def simulate(options: Options) -> int:
     if not options.quiet:
         print(f"compiling {options.scene} ...", file=sys.stderr, flush=True)
     advance = compile_frame(scene, recording, file.time.steps_per_frame)
+
+    def with_more_contacts() -> Advance:
+        nonlocal scene
+        scene = enlarge(scene)
+        return compile_frame(scene, recording, file.time.steps_per_frame)
+
     options.output.mkdir(parents=True, exist_ok=True)
 
     interrupted, saved = False, time.monotonic()
@@ -95,7 +102,7 @@ def simulate(options: Options) -> int:
         interruptible("stopping after this frame; Ctrl-C again quits without saving") as stopping,
         Progress(file.time.n_steps, file.time.step, done, options.quiet) as progress,
     ):
-        for _ in record(advance, recording, file.time.n_frames):
+        for _ in record(advance, recording, file.time.n_frames, with_more_contacts):
             progress.update(int(recording.report.steps))
             if stopping():
                 interrupted = recording.report.ok and recording.n_frames < file.time.n_frames

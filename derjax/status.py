@@ -10,6 +10,9 @@ class Status(enum.IntEnum):
     MAX_ITERATIONS = 1
     LINE_SEARCH = 2
     NON_FINITE = 3
+    PENETRATION = 4
+    TOO_FAST = 5
+    CAPACITY = 6
 
 
 class SolverError(RuntimeError):
@@ -20,12 +23,18 @@ _WHAT = {
     Status.MAX_ITERATIONS: "Newton's method did not converge in the allowed number of iterations",
     Status.LINE_SEARCH: "the line search of Newton's method found no step that lowers the residual",
     Status.NON_FINITE: "Newton's method met a value that is not finite",
+    Status.PENETRATION: "two rods penetrated each other by more than 1 % of their diameter",
+    Status.TOO_FAST: "a rod moved farther than the search for contacts looks in one step",
+    Status.CAPACITY: "more pairs of edges came close than the list of contacts has places",
 }
 
 _TRY = {
     Status.MAX_ITERATIONS: "a smaller [time] step, or a slower motor",
     Status.LINE_SEARCH: "a smaller [time] step; the rod may be buckling or turning too far in one",
     Status.NON_FINITE: "a smaller [time] step, and for scheme = 'explicit' the implicit scheme",
+    Status.PENETRATION: "a larger [contact] stiffness, or a smaller [time] step",
+    Status.TOO_FAST: "a smaller [time] step, or a slower motor",
+    Status.CAPACITY: "a larger [contact] capacity",
 }
 
 

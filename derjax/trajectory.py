@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
+from . import kinematics
 from .files import atomic_path
 from .rod import State, Topology, angles, positions
 from .scenefile import UNITS, SceneFile
@@ -60,7 +61,7 @@ def to_dataset(
             "angle that the edge has turned about itself since the start, whole turns included",
         ),
         **_motor(scene, states),
-        **_head(topology, states, nodes),
+        **_head(topology, states),
     }
     start, end = topology.edge_nodes.T
     coordinates = {
@@ -70,6 +71,12 @@ def to_dataset(
         "edge": _variable("edge", np.arange(topology.n_edges), "1", "number of the edge"),
         "edge_start": _variable("edge", start, "1", "node at which the edge starts"),
         "edge_end": _variable("edge", end, "1", "node at which the edge ends"),
+        "filament": _variable(
+            "edge",
+            _filament_of(topology),
+            "1",
+            "number of the flagellum that the edge belongs to, -1 for the head",
+        ),
     }
     return xr.Dataset(variables, coordinates, _attributes(file) | dict(attributes or {}))
 
@@ -85,6 +92,15 @@ def _variable(dims: str, values: Any, units: str, long_name: str) -> tuple[Any, 
     return dims.split(), np.asarray(values), {"units": units, "long_name": long_name}
 
 
+def _filament_of(topology: Topology) -> np.ndarray:
+    """(e,): the filament that each edge lies on, -1 if none."""
+    number = np.full(topology.n_nodes, -1)
+    for k, path in enumerate(topology.filaments):
+        number[np.array(path)] = k
+    start, end = topology.edge_nodes.T
+    return np.where(number[start] == number[end], number[start], -1)
+
+
 def _motor(scene: Scene, states: State) -> dict[str, tuple[Any, ...]]:
     """What the motors were told to do: exact, as it is a function of time alone."""
     motor = scene.motor
@@ -98,36 +114,39 @@ def _motor(scene: Scene, states: State) -> dict[str, tuple[Any, ...]]:
     }
 
 
-def _head(topology: Topology, states: State, nodes: Any) -> dict[str, tuple[Any, ...]]:
-    """How the head moves: that of its node, and that of the frame of its edge.
-
-    The angular velocity is t x dt/dt + s t: the change of direction t of the edge, and its
-    spin s about itself, which is the rate of its angle because reference frames that are
-    transported in time do not spin.
-    """
-    edge = topology.head_edge
-    if edge is None:
+def _head(topology: Topology, states: State) -> dict[str, tuple[Any, ...]]:
+    """How the head moves; see `kinematics`."""
+    if topology.head is None:
         return {}
-    node, other = topology.edges[edge]
-    along = nodes[:, other] - nodes[:, node]
-    length = np.linalg.norm(along, axis=-1, keepdims=True)
-    tangent = along / length
-    velocity = positions(topology, states.velocity)
-    turning = np.cross(tangent, (velocity[:, other] - velocity[:, node]) / length)
-    spin = angles(topology, states.velocity)[:, edge]
-    angle = angles(topology, states.q)[:, edge] + 2 * np.pi * states.turns[:, edge]
+    velocity = positions(topology, states.velocity)[:, topology.head.node]
     return {
-        "head_position": _variable("time axis", nodes[:, node], "m", "position of the head"),
-        "head_velocity": _variable("time axis", velocity[:, node], "m/s", "velocity of the head"),
+        "head_position": _variable(
+            "time axis", kinematics.head_position(topology, states), "m", "position of the head"
+        ),
+        "head_velocity": _variable("time axis", velocity, "m/s", "velocity of the head"),
         "head_axis": _variable(
-            "time axis", tangent, "1", "direction of the head, towards the flagella"
+            "time axis",
+            kinematics.head_axis(topology, states),
+            "1",
+            "direction of the head, towards the flagella",
         ),
         "head_angle": _variable(
-            "time", angle, "rad", "angle that the head has turned about its own axis"
+            "time",
+            kinematics.head_angle(topology, states),
+            "rad",
+            "angle that the head has turned about its own axis",
         ),
-        "head_spin": _variable("time", spin, "rad/s", "spin of the head about its own axis"),
+        "head_spin": _variable(
+            "time",
+            kinematics.head_spin(topology, states),
+            "rad/s",
+            "spin of the head about its own axis",
+        ),
         "head_angular_velocity": _variable(
-            "time axis", turning + spin[:, None] * tangent, "rad/s", "angular velocity of the head"
+            "time axis",
+            kinematics.head_angular_velocity(topology, states),
+            "rad/s",
+            "angular velocity of the head",
         ),
     }
 

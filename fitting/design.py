@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from derjax import InputError, Scene, SceneFile, State, angles, positions, rollout
+from derjax import InputError, Scene, SceneFile, State, rollout
+from derjax.kinematics import head_angle, head_position
 from derjax.terms.head import HeadDrag
 
 from .descent import descend
@@ -23,9 +24,7 @@ Merit = Callable[[Scene, State], Array]
 
 def speed(scene: Scene, frames: State) -> Array:
     """Mean speed (m/s) of the head between the first and the last frame."""
-    edge = _head_edge(scene)
-    topology = scene.rod.topology
-    path = positions(topology, frames.q)[:, topology.edges[edge][0]]
+    path = head_position(scene.rod.topology, frames)
     return jnp.linalg.norm(path[-1] - path[0]) / (frames.time[-1] - frames.time[0])
 
 
@@ -35,23 +34,15 @@ def efficiency(scene: Scene, frames: State) -> Array:
     Nothing else holds the robot, so the motor's torque is that which spins the head:
     eta = C_t 6 pi mu r_h U^2 / (C_r 8 pi mu r_h^3 |Omega_h| |omega_motor|).
     """
-    edge = _head_edge(scene)
     drag = next((term for term in scene.terms if isinstance(term, HeadDrag)), None)
     if drag is None or scene.motor is None:
         raise ValueError("efficiency needs a head with drag and a motor")
-    turned = angles(scene.rod.topology, frames.q) + 2 * jnp.pi * frames.turns
+    turned = head_angle(scene.rod.topology, frames)
     duration = frames.time[-1] - frames.time[0]
-    spin = (turned[-1, edge] - turned[0, edge]) / duration
+    spin = (turned[-1] - turned[0]) / duration
     motor = jnp.sum(scene.motor.turned(frames.time[0], frames.time[-1])) / duration
     power = drag.spin * jnp.abs(spin) * jnp.abs(motor)
     return drag.translation * speed(scene, frames) ** 2 / power
-
-
-def _head_edge(scene: Scene) -> int:
-    edge = scene.rod.topology.head_edge
-    if edge is None:
-        raise ValueError("a robot without a head has no speed of the head")
-    return edge
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from derjax import State, Topology, angles, positions
+from derjax import State, Topology
+from derjax.kinematics import head_angle, head_position
 
 CHANNELS = ("x", "y", "z", "head_angle")
-"""What can be tracked: position of the head node (m) and angle of the head edge (rad)."""
+"""What can be tracked: position of the head node (m) and angle of the head (rad)."""
 
 ANGLE = CHANNELS.index("head_angle")
 
@@ -20,12 +21,8 @@ def observations(topology: Topology, states: State) -> Float[Array, "t 4"]:
     The angle counts whole turns. It is the spin of the head about its own axis, in frames
     carried along without twist; for a head that stays near its axis, the angle in a video.
     """
-    edge = topology.head_edge
-    if edge is None:
-        raise ValueError("a robot without a head has nothing to track")
-    position = positions(topology, states.q)[:, topology.edges[edge][0]]
-    angle = angles(topology, states.q) + 2 * jnp.pi * states.turns
-    return jnp.concatenate([position, angle[:, edge, None]], axis=1)
+    position = head_position(topology, states)
+    return jnp.concatenate([position, head_angle(topology, states)[:, None]], axis=1)
 
 
 class Interpolation(NamedTuple):

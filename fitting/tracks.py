@@ -277,11 +277,9 @@ def check_plausible(path: Path, run: Run, scene: SceneFile, described: RunFile) 
     if not position.shape[1]:
         return
     robot = scene.robot
-    rpm = scene.motor.rpm if run.motor_rpm is None else run.motor_rpm
-    if scene.motor_table is not None:
-        rpm = np.abs(scene.motor_table.rpm).max()
+    rpm = scene.parameters["rpm"] if run.motor_rpm is None else run.motor_rpm
     size = robot.axial_length + 4 * robot.edge_length
-    screw = robot.pitch * abs(rpm) / 60  # m/s
+    screw = robot.pitch * np.abs(rpm).max() / 60  # m/s
     duration = run.time[-1] - run.time[0]
     moved = np.linalg.norm(position - position[0], axis=1).max()
     names = ", ".join(
@@ -313,7 +311,6 @@ def _start_position(scene: SceneFile) -> np.ndarray:
     """(3,): the head node (m) of the scene at rest."""
     built, state = build(scene)
     topology = built.rod.topology
-    edge = topology.head_edge
-    if edge is None:
+    if topology.head is None:
         raise InputError("the scene's robot has no head to track")
-    return np.asarray(positions(topology, state.q))[topology.edges[edge][0]]
+    return np.asarray(positions(topology, state.q))[topology.head.node]

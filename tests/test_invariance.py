@@ -10,7 +10,7 @@ from helpers import carry, elasticity, perturbed, potential, rest, rotation
 
 from derjax import State, Topology, angles, chain, positions
 from derjax.pytree import replace
-from derjax.robots import helix, single_flagellum
+from derjax.robots import helix, helix_contour, single_flagellum
 from derjax.rod import tangents
 from derjax.terms import (
     Gravity,
@@ -26,7 +26,8 @@ N = 12
 INTERVAL = Interval(jnp.asarray(0.1), jnp.zeros(1))
 SEEDS = (0, 1, 2)
 STEP = 0.1
-BODY = single_flagellum(0.1, 0.6, 1.0, N - 4, "left")
+HELIX = helix(0.1, 0.6, 1.0, N - 4, "left")
+BODY = single_flagellum(HELIX, helix_contour(0.1, 0.6, 1.0) / (N - 4))
 ROD, REST = rest(BODY.topology, BODY.nodes)
 N_NODES = ROD.topology.n_nodes
 FILAMENT = ROD.topology.filaments[0]

@@ -1,0 +1,46 @@
+"""What every robot is made of: its nodes and topology, and flagella set around an axis."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..rod import Topology
+
+Nodes = Float[Array, "n 3"]
+
+
+class Body(NamedTuple):
+    """A robot at rest.
+
+    Attributes:
+        nodes: (n, 3) m.
+        topology: what is joined to what.
+        stiff_hinges: the hinges that hold a head of several arms in shape.
+    """
+
+    nodes: Nodes
+    topology: Topology
+    stiff_hinges: tuple[int, ...] = ()
+
+
+def around(azimuth: float, nodes: Nodes) -> Nodes:
+    """`nodes` turned about the x axis by an angle (rad)."""
+    c, s = np.cos(azimuth), np.sin(azimuth)
+    return nodes @ np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]])
+
+
+def distance_from_axis(n_flagella: int, separation: Array) -> Array:
+    """How far (m) from their common axis flagella lie whose neighbours are `separation` apart."""
+    return separation / (2.0 * np.sin(np.pi / n_flagella)) if n_flagella > 1 else 0.0 * separation
+
+
+def mounted(filament: Nodes, edge: Array, backwards: int) -> Nodes:
+    """`filament` on its shaft: nodes in line behind it, `edge` (m) apart, along the x axis.
+
+    The shaft ends at (edge, 0, 0), after the motor at the origin and `backwards` more nodes.
+    """
+    steps = np.arange(-backwards, 2, dtype=float)
+    line = jnp.stack([steps * edge, 0.0 * steps, 0.0 * steps], axis=1)
+    return jnp.concatenate([line, filament + line[-1]])

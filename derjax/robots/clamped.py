@@ -1,0 +1,46 @@
+"""Filaments on fixed motors, without a head."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..rod import Topology
+from .body import Body, Nodes, around, distance_from_axis, mounted
+
+
+def clamped(filaments: Sequence[Nodes], edge: Array, separation: Array) -> Body:
+    """Filaments whose bases are held in place and turned about their own axes.
+
+    They lie around the x axis as those of the robot `branched`. The first edge of each, from
+    the origin of its own frame to the end of the shaft, is clamped and turned by its motor.
+    """
+    n_flagella = len(filaments)
+    radius = distance_from_axis(n_flagella, separation)
+    nodes, edges, hinges, paths, spindles, held = [], [], [], [], [], []
+    size = 0
+    for k, filament in enumerate(filaments):
+        branch = mounted(filament, edge, backwards=0)
+        nodes.append(
+            around(2.0 * np.pi * k / n_flagella, branch + radius * jnp.array([0.0, 1.0, 0.0]))
+        )
+        first = len(edges)
+        path = range(size, size + len(branch))
+        edges += pairwise(path)
+        hinges += [(e, e + 1) for e in range(first, len(edges) - 1)]
+        paths.append(tuple(path))
+        spindles.append(first)
+        held += [*path[:2]]
+        size += len(branch)
+    positions = [3 * node + axis for node in held for axis in range(3)]
+    topology = Topology(
+        n_nodes=size,
+        edges=tuple(edges),
+        hinges=tuple(hinges),
+        filaments=tuple(paths),
+        spindles=tuple(spindles),
+        clamped=(*positions, *(3 * size + edge for edge in spindles)),
+    )
+    return Body(jnp.concatenate(nodes), topology)

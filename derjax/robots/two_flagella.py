@@ -1,0 +1,36 @@
+"""The paper's robot: a head with two flagella, as one rod."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..rod import Head, chain
+from .body import Body, Nodes, around, mounted
+
+
+def two_flagella(filaments: tuple[Nodes, Nodes], edge: Array, separation: Array) -> Body:
+    """Tip, flagellum, motor, three head nodes, motor, flagellum, tip, on one rod.
+
+    The flagella lie parallel to x, at y = -+ separation / 2 (m). The head is a bar across
+    their axes; a link of length `edge` (m) leads from each of its ends to a motor. The second
+    flagellum is the first one's image under half a turn about x, if their filaments agree.
+    """
+    first, second = (mounted(filament, edge, backwards=1) for filament in filaments)
+    offset = jnp.array([0.0, 0.5, 0.0]) * separation
+    first = around(np.pi, first + offset)
+    second = second + offset
+    middle = jnp.stack([-edge, 0.0 * edge, 0.0 * edge])[None]
+    nodes = jnp.concatenate([first[::-1], middle, second])
+    head = len(first)  # the middle one of its three nodes
+    topology = chain(
+        len(nodes),
+        filaments=(tuple(range(head - 1))[::-1], tuple(range(head + 2, len(nodes)))),
+        head=Head(
+            node=head,
+            line=(head - 1, head + 1),
+            edges=(head - 1, head),
+            ahead=(head - 2, head + 2),
+        ),
+        motors=(head - 3, head + 1),
+    )
+    return Body(nodes, topology, stiff_hinges=(head - 2, head - 1, head))

@@ -1,0 +1,120 @@
+"""Dry friction between touching rods.
+
+Coulomb's law is a dissipation potential once the normal force N is known; here it is that of
+the start of the step. With u the slip of the two surfaces during a step of length h,
+
+    h Phi = mu_f N (sqrt(|u|^2 + (h v_s)^2) - h v_s),
+
+whose force tends to mu_f N for slip faster than v_s. Surfaces move with their edges and turn
+with them: the point of a surface at -+ r_0 n from the centre line, n the unit normal from the
+second rod to the first, moves by w x (-+ r_0 n) beyond its centre line, with the rotation w of
+its edge. Two rods that turn as one rigid body therefore do not slip.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..geometry import dot, unit
+from ..potential import Pairs
+from ..pytree import pytree, replace
+from ..rod import Rod, State
+from .contact import Contact, force, meeting, weights
+from .term import Interval
+
+
+def slip(
+    local: Float[Array, " 12"], diameter: Array
+) -> tuple[Float[Array, "3 14"], Float[Array, ""]]:
+    """The slip of a pair (m) as a linear function of its displacement, and its distance (m).
+
+    The displacement is that of four nodes (m) and of the angles of the two edges (rad).
+    """
+    at, d = meeting(local, diameter)
+    x0, x1, y0, y1 = local.reshape(4, 3)
+    normal = at.gap / jnp.sqrt(dot(at.gap, at.gap) + (1e-6 * diameter) ** 2)
+    across = jnp.eye(3) - jnp.outer(normal, normal)
+    nodes = jnp.kron(weights(at), jnp.eye(3))
+    # Both surfaces lie between the two centre lines: in the difference of their motions the
+    # arms of the first and of the second have the same sign.
+    arm = -0.5 * diameter
+    columns = []
+    for start, end, first in ((x0, x1, 0), (y0, y1, 6)):
+        edge = end - start
+        tangent = unit(edge)
+        turn = dot(tangent, normal) * jnp.eye(3) - jnp.outer(tangent, normal)
+        change = (jnp.eye(3) - jnp.outer(tangent, tangent)) / jnp.sqrt(dot(edge, edge))
+        tilt = arm * turn @ change
+        nodes = nodes.at[:, first : first + 6].add(jnp.concatenate([-tilt, tilt], axis=1))
+        columns.append(arm * jnp.cross(tangent, normal)[:, None])
+    return across @ jnp.concatenate([nodes, *columns], axis=1), d
+
+
+@pytree
+class Sliding:
+    """One pair: slip per displacement (3, 14), where it was (14,), mu_f N, and h v_s."""
+
+    slip: Array
+    old: Array
+    strength: Array
+    smallest: Array
+
+
+@dataclass(frozen=True)
+class Rubbing:
+    """h Phi of one pair of edges as a function of its nodes and angles."""
+
+    def __call__(self, local: Float[Array, " 14"], data: Sliding) -> Array:
+        u = data.slip @ (local - data.old)
+        return data.strength * (jnp.sqrt(dot(u, u) + data.smallest**2) - data.smallest)
+
+    def gradient(self, local: Float[Array, " 14"], data: Sliding) -> Array:
+        u = data.slip @ (local - data.old)
+        return data.strength / jnp.sqrt(dot(u, u) + data.smallest**2) * (u @ data.slip)
+
+    def hessian(self, local: Float[Array, " 14"], data: Sliding) -> Array:
+        u = data.slip @ (local - data.old)
+        size = jnp.sqrt(dot(u, u) + data.smallest**2)
+        inner = jnp.eye(3) - jnp.outer(u / size, u / size)
+        return data.strength / size * data.slip.T @ inner @ data.slip
+
+    @classmethod
+    def together(cls, parts: Sequence[tuple["Rubbing", Any]]) -> tuple["Rubbing", Any]:
+        raise NotImplementedError("pairs are never put together")
+
+
+@pytree
+class Friction:
+    """`h Phi = sum over touching pairs of mu_f N (sqrt(|u|^2 + (h v_s)^2) - h v_s)`.
+
+    Attributes:
+        contact: which rods touch, and how hard.
+        coefficient: mu_f, dimensionless.
+        slip_speed: v_s, m/s: below it friction is like drag, and rods that stick creep.
+    """
+
+    contact: Contact
+    coefficient: Float[Array, ""]
+    slip_speed: Float[Array, ""]
+
+    def enlarged(self) -> "Friction":
+        """With more places in the list of contacts."""
+        return replace(self, contact=self.contact.enlarged())
+
+    def contribution(self, rod: Rod, state: State, interval: Interval) -> Pairs:
+        close = self.contact.neighbours(rod, state, interval)
+        positions = (3 * close.nodes[:, :, None] + jnp.arange(3)).reshape(-1, 12)
+        dofs = jnp.concatenate([positions, 3 * rod.topology.n_nodes + close.edges], axis=1)
+        touch = self.contact.touch
+        matrix, d = jax.vmap(slip)(state.q[positions], touch.diameter)
+        data = Sliding(
+            slip=matrix,
+            old=state.q[dofs],
+            strength=self.coefficient * force(d, touch),
+            smallest=jnp.broadcast_to(self.slip_speed * interval.length, len(d)),
+        )
+        return Pairs(dofs, close.taken, Rubbing(), data)
