@@ -74,13 +74,21 @@ class Neighbours:
     def reach(self, q: Dofs, direction: Dofs) -> Array:
         """How much of `direction` no pair can get through each other within.
 
-        In one go the two edges of a pair may approach by half of their distance at most.
+        In one go the two edges of a pair may approach by half of their distance at most, and
+        no node may go farther than the search went.
         """
-        x, move = self._nodes(q), self._nodes(direction)
-        size = jnp.sqrt(jnp.sum(move * move, axis=1))[self.nodes]
-        approach = jnp.maximum(size[:, 0], size[:, 1]) + jnp.maximum(size[:, 2], size[:, 3])
-        room = 0.5 * jnp.maximum(self._distances(x), 0.5 * self.diameter)
-        return jnp.min(jnp.where(approach > room, room / approach, 1.0), initial=1.0)
+
+        def of_the_nearest() -> Array:
+            x, move = (lax.stop_gradient(self._nodes(v)) for v in (q, direction))
+            speed = jnp.sqrt(jnp.sum(move * move, axis=1))
+            size = speed[self.nodes]
+            approach = jnp.maximum(size[:, 0], size[:, 1]) + jnp.maximum(size[:, 2], size[:, 3])
+            room = 0.5 * self._distances(x)
+            part = jnp.min(jnp.where(approach > room, room / approach, 1.0), initial=1.0)
+            farthest = jnp.max(speed)
+            return jnp.where(part * farthest > self.skin, self.skin / farthest, part)
+
+        return lax.cond(self.found > 0, of_the_nearest, lambda: jnp.ones(()))
 
     def fault(self, q: Dofs) -> Array:
         """Whether the list was too short, or a step that ends at `q` cannot be accepted."""
@@ -116,8 +124,8 @@ def search(
 ) -> Neighbours:
     """The pairs of edges that are closer than their diameter and a skin.
 
-    The skin allows every node to go one and a half times as far as `move` would take it, and
-    a quarter of the diameter in any case.
+    The skin allows every node to go a quarter farther than `move` would take the fastest, and
+    an eighth of the diameter in any case. A step that goes farther has all pairs checked.
 
     Args:
         rod: whose edges.
@@ -130,7 +138,7 @@ def search(
     topology = rod.topology
     x = lax.stop_gradient(positions(topology, state.q))
     moves = lax.stop_gradient(positions(topology, move))
-    skin = 3.0 * jnp.sqrt(jnp.max(jnp.sum(moves * moves, axis=1))) + 0.5 * diameter
+    skin = 2.5 * jnp.sqrt(jnp.max(jnp.sum(moves * moves, axis=1))) + 0.25 * diameter
     all_nodes = topology.edge_nodes[pairs.array].reshape(-1, 4)
     close = distance(x[all_nodes]) < diameter + skin
     (chosen,) = jnp.nonzero(close, size=capacity, fill_value=0)

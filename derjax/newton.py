@@ -26,6 +26,9 @@ from .status import Status
 
 _SEARCHING = -1
 
+ROUNDING = 1e-9
+"""By which a potential may seem to grow, relative to itself, because of rounding."""
+
 
 @pytree
 class NewtonSettings:
@@ -41,7 +44,7 @@ class NewtonSettings:
     tolerance: Float[Array, ""]
     force_scale: Dofs
     max_iterations: int = static(default=40)
-    max_halvings: int = static(default=12)
+    max_halvings: int = static(default=20)
 
 
 @pytree
@@ -109,13 +112,17 @@ def equilibrium(
     # and its Hessian each stand at one place in the program: they are what compiling costs.
     def advance(now: _Search) -> _Search:
         q = now.q + now.length * now.direction
-        gradient = potential.gradient(q)
+        if symmetric:
+            value, gradient = potential.value_and_gradient(q)
+        else:
+            value, gradient = now.value, potential.gradient(q)
         residual = scaled(gradient)
         accepted = residual <= (1.0 - 1e-4 * now.length) * now.residual
-        value = now.value
         if symmetric:
-            value = potential.value(q)
             slope = now.direction @ now.gradient
+            # A smaller residual alone will not do: where rods touch, iterations that trade the
+            # one for the other may go round in circles.
+            accepted &= value <= now.value + ROUNDING * jnp.abs(now.value)
             accepted |= (slope < 0) & (value <= now.value + 1e-4 * now.length * slope)
         finite = jnp.isfinite(residual)
         accepted &= finite

@@ -110,6 +110,38 @@ def speed(trajectory: xr.Dataset) -> Figure | None:
     return figure
 
 
+def bundle(trajectory: xr.Dataset) -> Figure | None:
+    """How the flagella come together: bundled part, turns, distance and forces against time.
+
+    None with less than two flagella.
+    """
+    if "bundle_fraction" not in trajectory:
+        return None
+    time = trajectory.time.to_numpy()
+    diameter = 2 * float(trajectory.attrs["rod_radius"])
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 6.4), layout="constrained")
+        bundled, turns, distance = figure.subplots(3, 1, sharex=True)
+        bundled.plot(time, 100 * trajectory.bundle_fraction, color=FLAGELLUM)
+        bundled.set(ylabel="bundled part (%)", ylim=(-4, 104), title="Bundle")
+        turns.plot(time, trajectory.linking_number, color=FLAGELLUM)
+        turns.axhline(0.0, color=MEAN, lw=0.6)
+        turns.set(ylabel="turns about each other", title="Linking number")
+        distance.plot(time, trajectory.minimum_distance / diameter, color=FLAGELLUM)
+        distance.axhline(1.0, color=MEAN, lw=0.8, ls="--", label="touching")
+        distance.set(ylabel="distance / diameter", ylim=(0, None), xlabel="time (s)")
+        distance.set_title("Smallest distance of the flagella")
+        distance.legend(frameon=False, loc="best")
+        if "contact_force" in trajectory:
+            force = distance.twinx()
+            force.plot(time, 1e3 * trajectory.contact_force, color=HEAD, lw=0.9)
+            force.set_ylabel("contact force (mN)", color=HEAD)
+            force.set_ylim(0, None)
+            force.grid(visible=False)
+            force.spines["right"].set_visible(True)
+    return figure
+
+
 def _coloured_line(ax: Axes, x: np.ndarray, y: np.ndarray, time: np.ndarray) -> LineCollection:
     points = np.stack([x, y], axis=1)
     pieces = list(np.stack([points[:-1], points[1:]], axis=1))

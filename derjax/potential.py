@@ -14,7 +14,7 @@ The step knows nothing of physics: it finds where the gradient of the sum vanish
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -24,6 +24,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .pytree import Indices, pytree, static
 from .status import Status
 
+T = TypeVar("T")
 Dofs = Float[Array, " d"]
 Matrix = Float[Array, "d d"]
 
@@ -131,12 +132,15 @@ class Pairs:
     data: Any
     guard: Guard | None = None
 
-    def _each(self, q: Dofs, function: Callable[[Array, Any], Array]) -> Array:
+    def _each(self, q: Dofs, function: Callable[[Array, Any], T]) -> T:
         """(b, ...) the elements' `function`, zero in places that are not taken."""
-        local = jax.vmap(function)(q[self.dofs], self.data)
-        return jnp.where(self.taken.reshape(-1, *([1] * (local.ndim - 1))), local, 0.0)
 
-    def _if_any(self, compute: Callable[[], Array], nothing: Array) -> Array:
+        def only_taken(local: Array) -> Array:
+            return jnp.where(self.taken.reshape(-1, *([1] * (local.ndim - 1))), local, 0.0)
+
+        return jax.tree.map(only_taken, jax.vmap(function)(q[self.dofs], self.data))
+
+    def _if_any(self, compute: Callable[[], T], nothing: T) -> T:
         return lax.cond(jnp.any(self.taken), compute, lambda: nothing)
 
     def value(self, q: Dofs) -> Array:
@@ -147,6 +151,17 @@ class Pairs:
         return self._if_any(
             lambda: zero.at[self.dofs].add(self._each(q, self.potential.gradient)), zero
         )
+
+    def value_and_gradient(self, q: Dofs) -> tuple[Array, Dofs]:
+        zero = jnp.zeros_like(q)
+
+        def both() -> tuple[Array, Dofs]:
+            value, local = self._each(
+                q, lambda x, data: (self.potential(x, data), self.potential.gradient(x, data))
+            )
+            return jnp.sum(value), zero.at[self.dofs].add(local)
+
+        return self._if_any(both, (jnp.zeros(()), zero))
 
     def hessian(self, q: Dofs) -> Matrix:
         zero = jnp.zeros((q.size, q.size), q.dtype)
@@ -277,6 +292,14 @@ class Potential:
 
     def gradient(self, q: Dofs) -> Dofs:
         return jnp.asarray(sum(c.gradient(q) for c in self.contributions))
+
+    def value_and_gradient(self, q: Dofs) -> tuple[Array, Dofs]:
+        """Both at once, which saves finding again where pairs meet."""
+        parts = [
+            c.value_and_gradient(q) if isinstance(c, Pairs) else (c.value(q), c.gradient(q))
+            for c in self.contributions
+        ]
+        return jnp.asarray(sum(v for v, _ in parts)), jnp.asarray(sum(g for _, g in parts))
 
     def hessian(self, q: Dofs) -> Matrix:
         return jnp.asarray(sum(c.hessian(q) for c in self.contributions))

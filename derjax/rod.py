@@ -164,6 +164,7 @@ class State:
     Attributes:
         q: (d,) node positions (m), then edge angles (rad).
         velocity: (d,) m/s and rad/s over the step just taken.
+        velocity_change: (d,) m/s and rad/s, from the step before it.
         reference_director: (e, 3) first reference director of each edge.
         reference_twist: (b,) rad, twist of the reference frames across each hinge.
         motor_angle: (k,) rad, angle that each motor has turned.
@@ -173,6 +174,7 @@ class State:
 
     q: Float[Array, " d"]
     velocity: Float[Array, " d"]
+    velocity_change: Float[Array, " d"]
     reference_director: Float[Array, "e 3"]
     reference_twist: Float[Array, " b"]
     motor_angle: Float[Array, " k"]
@@ -324,6 +326,7 @@ def at_rest(topology: Topology, nodes: Float[Array, "n 3"]) -> tuple[Rod, State]
     state = State(
         q=q,
         velocity=jnp.zeros_like(q),
+        velocity_change=jnp.zeros_like(q),
         reference_director=director,
         reference_twist=m_ref,
         motor_angle=jnp.zeros(len(topology.motors) + len(topology.spindles)),
@@ -358,6 +361,7 @@ def carry_frames(rod: Rod, state: State, q: Float[Array, " d"]) -> State:
     return State(
         q=q,
         velocity=state.velocity,
+        velocity_change=state.velocity_change,
         reference_director=director,
         reference_twist=twist,
         motor_angle=motor_angle,

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from .geometry import dot
+from .geometry import dot, norm
 
 Pair = Float[Array, "*b 4 3"]
 Scalar = Float[Array, "*b"]
@@ -45,16 +45,17 @@ def _least_on_square(f: _Quadratic) -> tuple[Scalar, Scalar]:
     That is inside, or on one of the four sides; on each of these it is known.
     """
     a, b, c, d, e = f
-    inside = a * c - b * b
+    determinant = a * c - b * b
     zero, one = jnp.zeros_like(a), jnp.ones_like(a)
     s = jnp.stack(
-        [_quotient(b * e - c * d, inside), zero, one, _quotient(-d, a), _quotient(b - d, a)]
+        [_quotient(b * e - c * d, determinant), zero, one, _quotient(-d, a), _quotient(b - d, a)]
     )
-    t = jnp.stack(
-        [_quotient(a * e - b * d, inside), _quotient(e, c), _quotient(e + b, c), zero, one]
-    )
+    # Inside, t is best for the s that was found, so that nearly parallel segments may cross.
+    t = jnp.stack([_quotient(e + b * s[0], c), _quotient(e, c), _quotient(e + b, c), zero, one])
+    inside = (determinant > 0.0) & (s[0] >= 0.0) & (s[0] <= 1.0) & (t[0] >= 0.0) & (t[0] <= 1.0)
     s, t = jnp.clip(s, 0.0, 1.0), jnp.clip(t, 0.0, 1.0)
     value = 0.5 * (a * s * s + c * t * t) - b * s * t + d * s - e * t
+    value = value.at[0].set(jnp.where(inside, -jnp.inf, jnp.inf))
     best = jnp.argmin(value, axis=0)[None]
     return jnp.take_along_axis(s, best, 0)[0], jnp.take_along_axis(t, best, 0)[0]
 
@@ -74,7 +75,7 @@ def between(pair: Pair, s: Scalar, t: Scalar) -> Float[Array, "*b 3"]:
 def distance(pair: Pair) -> Scalar:
     """Exact distance of two segments; not smooth where the closest points are not unique."""
     gap = between(pair, *closest(pair))
-    return jnp.sqrt(dot(gap, gap))
+    return norm(gap)
 
 
 class Near(NamedTuple):
@@ -131,16 +132,20 @@ NEWTON_STEPS = 10
 def _near_points(pair: Float[Array, "4 3"], softness: Array) -> tuple[Array, Array]:
     """The minimum of `near`: Newton's method, which never goes all the way to an end."""
     a, b, c, d, e = _quadratic(pair)
-    weight = 0.5 * softness**2
+    weight, tiny = 0.5 * softness**2, jnp.finfo(pair.dtype).eps
     # Start with a barrier that is quadratic, of the same curvature in the middle ...
     k = 4.0 * weight
     s, t = _least_on_square(_Quadratic(a + k, b, c + k, d - 0.5 * k, e + 0.5 * k))
+
+    def inner(p):
+        """Where the barrier is finite, also next to an end of segments that are very long."""
+        return jnp.clip(p, tiny**2, 1.0 - tiny)
 
     def off_the_ends(p, slope):
         """... and where that is not enough, where the true one balances the slope alone."""
         g = jnp.abs(slope) / weight
         inset = 2.0 / ((g**2 + 4.0) * (1.0 + g / jnp.sqrt(g**2 + 4.0)))
-        return jnp.clip(p, inset, 1.0 - inset)
+        return inner(jnp.clip(p, inset, 1.0 - inset))
 
     def room(p, dp):
         """The part of a step that may be gone: all of it, or most of the way to the end."""
@@ -152,8 +157,7 @@ def _near_points(pair: Float[Array, "4 3"], softness: Array) -> tuple[Array, Arr
         g0 = a * s - b * t + d + weight * _barrier_slope(s)
         g1 = c * t - b * s - e + weight * _barrier_slope(t)
         ds, dt = _solve(a, b, c, weight, s, t, g0, g1)
-        length = jnp.minimum(room(s, ds), room(t, dt))
-        return s - length * ds, t - length * dt
+        return inner(s - room(s, ds) * ds), inner(t - room(t, dt) * dt)
 
     start = off_the_ends(s, a * s - b * t + d), off_the_ends(t, c * t - b * s - e)
     return lax.fori_loop(0, NEWTON_STEPS, step, start)

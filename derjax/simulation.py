@@ -32,7 +32,12 @@ from .step import Scene
 TRAJECTORY = "trajectory.nc"
 SUMMARY = "summary.json"
 CHECKPOINT = "checkpoint.npz"
-FIGURES = {"track.png": plots.track, "shape.png": plots.shape, "speed.png": plots.speed}
+FIGURES = {
+    "track.png": plots.track,
+    "shape.png": plots.shape,
+    "speed.png": plots.speed,
+    "bundle.png": plots.bundle,
+}
 
 SECONDS_BETWEEN_SAVES = 30.0
 DONE, INTERRUPTED = 0, 130

@@ -35,7 +35,7 @@ def advance(scene: "Scene", state: State) -> tuple[State, NewtonInfo]:
         motor_angle = motor_angle + turned
     interval = Interval(h, motor_angle)
     potential = gather([t.contribution(scene.rod, state, interval) for t in scene.terms])
-    ahead = h * state.velocity
+    ahead = h * predicted_velocity(state)
     if potential.guards:
         ahead = potential.reach(state.q, ahead) * ahead
     guess = state.q + ahead
@@ -50,7 +50,19 @@ def advance(scene: "Scene", state: State) -> tuple[State, NewtonInfo]:
         fault = potential.fault(lax.stop_gradient(q))
         info = replace(info, status=jnp.where(info.status == Status.OK, fault, info.status))
     new = carry_frames(scene.rod, replace(state, motor_angle=motor_angle), q)
-    return replace(new, velocity=(q - state.q) / h, time=end), info
+    velocity = (q - state.q) / h
+    change = velocity - state.velocity
+    return replace(new, velocity=velocity, velocity_change=change, time=end), info
+
+
+def predicted_velocity(state: State) -> Float[Array, " d"]:
+    """The velocity of the coming step, if it changes as much as it did in the last one.
+
+    Only where motion is smooth: after a jump, as at the start, velocity is taken as constant.
+    """
+    change, velocity = state.velocity_change, state.velocity
+    smooth = change @ change < 0.25 * velocity @ velocity
+    return velocity + jnp.where(smooth, change, 0.0)
 
 
 @pytree

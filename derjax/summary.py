@@ -23,6 +23,24 @@ steadily:
     `T = 8 pi mu r_h^3 C_r |head_rate|` the drag torque on the head, that is
     `(3/4) (C_t / C_r) |v_x| / (r_h |head_rate|)`.
 
+Of robots with several flagella also
+
+`propulsive_force_per_flagellum_N`
+    The propulsive force divided by the number of flagella.
+`minimum_distance_m`
+    Smallest distance of the centre lines of two flagella, at any saved frame of the whole run.
+`bundle_fraction`, `linking_number`
+    Means of the part of the flagella that is bundled, and of how often they wind about each
+    other; see `bundling`.
+`phase_difference_rad`
+    Mean direction of the angle by which the second flagellum has turned at its base beyond the
+    first, within half a turn.
+
+and, if rods are kept apart by the smooth contact,
+
+`contact_count`, `contact_force_N`
+    Means of the number of touching pairs of edges and of the sum of their normal forces.
+
 What cannot be said is None: of a scene without a head, or with less than two frames in the
 window; force and efficiency also of a head without drag, efficiency of a head at rest.
 """
@@ -67,6 +85,7 @@ def summarise(trajectory: xr.Dataset, scene: SceneFile) -> Numbers:
     time = trajectory.time.to_numpy()
     chosen = window(time)
     numbers["window_s"] = [float(time[chosen][0]), float(time[-1])]
+    numbers |= _bundle(trajectory, trajectory.isel(time=chosen))
     if "head_position" not in trajectory or chosen.sum() < 2:
         return numbers
     part = trajectory.isel(time=chosen)
@@ -85,7 +104,29 @@ def summarise(trajectory: xr.Dataset, scene: SceneFile) -> Numbers:
     force = 6 * math.pi * viscosity * size * scene.head.C_t * speed
     torque = 8 * math.pi * viscosity * size**3 * scene.head.C_r * abs(rate)
     numbers["propulsive_force_N"] = force
+    if scene.robot.count > 1:
+        numbers["propulsive_force_per_flagellum_N"] = force / scene.robot.count
     numbers["efficiency"] = abs(force) * size / torque if torque > 0 else None
+    return numbers
+
+
+def _bundle(whole: xr.Dataset, part: xr.Dataset) -> Numbers:
+    """How close the flagella are, over all of a trajectory and over its window."""
+    numbers: Numbers = {}
+    if "bundle_fraction" in whole:
+        phase = part.flagellum_phase.to_numpy()
+        difference = np.exp(1j * (phase[:, 1] - phase[:, 0])).mean()
+        numbers |= {
+            "minimum_distance_m": float(whole.minimum_distance.min()),
+            "bundle_fraction": float(part.bundle_fraction.mean()),
+            "linking_number": float(part.linking_number.mean()),
+            "phase_difference_rad": float(np.angle(difference)),
+        }
+    if "contact_count" in whole:
+        numbers |= {
+            "contact_count": float(part.contact_count.mean()),
+            "contact_force_N": float(part.contact_force.mean()),
+        }
     return numbers
 
 

@@ -19,11 +19,12 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from . import kinematics
+from . import bundling, kinematics
 from .files import atomic_path
 from .rod import State, Topology, angles, positions
 from .scenefile import UNITS, SceneFile
 from .step import Scene
+from .terms.contact import Contact
 
 DIGITS_OF_TIME = 12
 """Times are rounded to 1e-12 s: adding up a thousand steps leaves 0.30000000000000004 s."""
@@ -45,7 +46,7 @@ def to_dataset(
     """
     states = jax.tree.map(np.asarray, states)
     topology = scene.rod.topology
-    nodes = positions(topology, states.q)
+    nodes = np.asarray(positions(topology, states.q))
     variables = {
         "position": _variable("time node axis", nodes, "m", "position of the nodes"),
         "velocity": _variable(
@@ -62,6 +63,7 @@ def to_dataset(
         ),
         **_motor(scene, states),
         **_head(topology, states),
+        **_bundle(file, scene, nodes),
     }
     start, end = topology.edge_nodes.T
     coordinates = {
@@ -149,6 +151,44 @@ def _head(topology: Topology, states: State) -> dict[str, tuple[Any, ...]]:
             "angular velocity of the head",
         ),
     }
+
+
+def _bundle(file: SceneFile, scene: Scene, nodes: np.ndarray) -> dict[str, tuple[Any, ...]]:
+    """How close the flagella are; see `bundling`."""
+    topology = scene.rod.topology
+    contact = next((t for t in scene.terms if isinstance(t, Contact)), None)
+    variables = {}
+    if len(topology.filaments) > 1:
+        close = bundling.closeness(topology, nodes, 2.0 * file.robot.rod_radius)
+        variables |= {
+            "minimum_distance": _variable(
+                "time", close.minimum_distance, "m", "smallest distance of two flagella's axes"
+            ),
+            "bundle_fraction": _variable(
+                "time", close.bundle_fraction, "1", "part of the flagella that is in a bundle"
+            ),
+            "linking_number": _variable(
+                "time", close.linking_number, "1", "turns of the flagella about each other"
+            ),
+            "flagellum_phase": _variable(
+                "time flagellum",
+                bundling.phases(topology, nodes),
+                "rad",
+                "angle that the base of the flagellum has turned about the x axis",
+            ),
+        }
+    if contact is not None:
+        pairs = topology.edge_nodes[contact.pairs.array].reshape(-1, 4)
+        forces = np.asarray(bundling.contact_forces(contact, pairs, nodes))
+        variables |= {
+            "contact_count": _variable(
+                "time", (forces > 0).sum(axis=1), "1", "pairs of edges that touch"
+            ),
+            "contact_force": _variable(
+                "time", forces.sum(axis=1), "N", "sum of the normal forces of all contacts"
+            ),
+        }
+    return variables
 
 
 def _attributes(file: SceneFile) -> dict[str, Any]:

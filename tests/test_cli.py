@@ -275,6 +275,7 @@ def test_new_writes_files_that_work(tmp_path, capsys):
     assert f"derjax simulate {directory / 'scene.toml'}" in capsys.readouterr().out
     assert {path.name for path in directory.iterdir()} == {
         "scene.toml",
+        "two_flagella.toml",
         "motor.csv",
         "dataset.toml",
         "track.csv",

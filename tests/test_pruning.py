@@ -16,6 +16,8 @@ from derjax import Scene, SceneFile, State, advance, build, rollout
 from derjax.pytree import replace
 from derjax.terms import (
     Bend,
+    Contact,
+    Friction,
     Gravity,
     HeadDrag,
     Inertia,
@@ -124,6 +126,28 @@ def test_a_scene_has_the_terms_that_it_names(name):
 @pytest.mark.parametrize("name", ["head", "inertia", "gravity", "rft", "rss"])
 def test_every_term_makes_the_program_longer(steps, name):
     assert len(steps[name]) > len(steps["least"])
+
+
+def text(**tables: Any) -> str:
+    """The program of one step of a scene, as text."""
+    scene, state = build(SceneFile.model_validate(LEAST | tables))
+    return str(jax.make_jaxpr(advance)(scene, state))
+
+
+def test_contact_and_friction_are_absent_to_the_last_instruction():
+    alone, none = {"robot": LEAST["robot"]}, {"contact": {"method": "none"}}
+    several = {"robot": {**LEAST["robot"], "kind": "two_flagella"}}
+    assert text(**alone) == text(**alone, **none)
+    assert "cumsum" not in text(**several, **none)
+    assert "cumsum" in text(**several)  # the search for neighbours
+    assert text(**several) == text(**several, friction={"coefficient": 0.0})
+    assert text(**several) != text(**several, friction={"coefficient": 0.1})
+
+
+def test_contact_and_friction_are_terms_of_robots_with_several_flagella():
+    several = {"robot": {**LEAST["robot"], "kind": "two_flagella"}, "friction": {}}
+    scene, _ = build(SceneFile.model_validate(LEAST | several))
+    assert {type(term) for term in scene.terms} == {*ELASTIC, Contact, Friction}
 
 
 @pytest.mark.parametrize("name", ["least", "head", "inertia", "gravity", "rft"])

@@ -30,7 +30,7 @@ from .term import Interval
 SOFTNESS = 0.05
 """Of the distance, in diameters: it raises distances by less than 0.25 % of a diameter."""
 
-RAMP = 0.005
+RAMP = 0.01
 """Overlap over which the repulsion sets in, in diameters."""
 
 

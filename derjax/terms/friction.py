@@ -17,13 +17,14 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
 from ..geometry import dot, unit
 from ..potential import Pairs
 from ..pytree import pytree, replace
 from ..rod import Rod, State
-from .contact import Contact, force, meeting, weights
+from .contact import Contact, Touch, force, meeting, weights
 from .term import Interval
 
 
@@ -52,6 +53,12 @@ def slip(
         nodes = nodes.at[:, first : first + 6].add(jnp.concatenate([-tilt, tilt], axis=1))
         columns.append(arm * jnp.cross(tangent, normal)[:, None])
     return across @ jnp.concatenate([nodes, *columns], axis=1), d
+
+
+def _pressed(local: Float[Array, " 12"], touch: Touch) -> tuple[Array, Array]:
+    """The slip of a pair per displacement (3, 14), and its normal force (N)."""
+    matrix, d = slip(local, touch.diameter)
+    return matrix, force(d, touch)
 
 
 @pytree
@@ -110,11 +117,16 @@ class Friction:
         positions = (3 * close.nodes[:, :, None] + jnp.arange(3)).reshape(-1, 12)
         dofs = jnp.concatenate([positions, 3 * rod.topology.n_nodes + close.edges], axis=1)
         touch = self.contact.touch
-        matrix, d = jax.vmap(slip)(state.q[positions], touch.diameter)
+        # Where nothing is close there is nothing to find out.
+        matrix, normal_force = lax.cond(
+            close.found > 0,
+            lambda: jax.vmap(_pressed)(state.q[positions], touch),
+            lambda: (jnp.zeros((len(dofs), 3, 14)), jnp.zeros(len(dofs))),
+        )
         data = Sliding(
             slip=matrix,
             old=state.q[dofs],
-            strength=self.coefficient * force(d, touch),
-            smallest=jnp.broadcast_to(self.slip_speed * interval.length, len(d)),
+            strength=self.coefficient * normal_force,
+            smallest=jnp.broadcast_to(self.slip_speed * interval.length, len(dofs)),
         )
         return Pairs(dofs, close.taken, Rubbing(), data)
