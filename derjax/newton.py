@@ -26,8 +26,8 @@ from .status import Status
 
 _SEARCHING = -1
 
-ROUNDING = 1e-9
-"""By which a potential may seem to grow, relative to itself, because of rounding."""
+CLOSE = 1e5
+"""Tolerances; with less than that left the residual alone tells whether a step is good."""
 
 
 @pytree
@@ -120,9 +120,11 @@ def equilibrium(
         accepted = residual <= (1.0 - 1e-4 * now.length) * now.residual
         if symmetric:
             slope = now.direction @ now.gradient
-            # A smaller residual alone will not do: where rods touch, iterations that trade the
-            # one for the other may go round in circles.
-            accepted &= value <= now.value + ROUNDING * jnp.abs(now.value)
+            # Far from the solution a smaller residual alone will not do: where rods touch,
+            # iterations that trade the one for the other may go round in circles. Close to it
+            # the potential says nothing any more, for rounding.
+            close = now.residual <= CLOSE * now.tolerance
+            accepted &= close | (value <= now.value)
             accepted |= (slope < 0) & (value <= now.value + 1e-4 * now.length * slope)
         finite = jnp.isfinite(residual)
         accepted &= finite

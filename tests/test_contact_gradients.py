@@ -1,0 +1,116 @@
+"""Derivatives through five hundred steps in which flagella touch, slide and part again.
+
+The robot is as small as it can be: nine edges to a flagellum, and axes 8 mm apart, so that two
+helices of 6.4 mm radius are nested in each other. They do not touch at the start, but soon do,
+and at different rates they stay in contact in most of the steps. The run ends before the motion
+has become chaotic: only then are there finite differences to compare with. Central
+differences need steps of 1e-5 of a parameter, as larger ones change which edges meet; the stiffness of
+contacts, which hardly matters, takes larger ones.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import derjax
+from derjax.kinematics import head_position
+from derjax.scenefile import SceneFile
+from derjax.segments import distance
+from derjax.terms.contact import Contact
+
+NAMES = ("C_t", "C_r", "friction", "contact_stiffness", "pitch")
+DIFFERENCES = (1e-5, 1e-5, 1e-5, 1e-3, 1e-5)
+WEIGHTS = jnp.array([1.0, 0.5, -0.25])
+N_FRAMES, STEPS = 50, 10
+AT = jnp.ones(len(NAMES))
+
+
+def nested(hydrodynamics: str) -> SceneFile:
+    return SceneFile.model_validate(
+        {
+            "robot": {
+                "kind": "two_flagella",
+                "edge_length": 15e-3,
+                "separation": 8e-3,
+                "pitch": 31.8e-3,
+                "phase": [0.0, np.pi - 0.4],
+            },
+            "fluid": {"hydrodynamics": hydrodynamics},
+            "motor": {"rpm": [60.0, 50.0]},
+            "contact": {"stiffness": 1e4, "capacity": 60},
+            "friction": {"coefficient": 0.3},
+            "time": {"step": 5e-3, "end": 2.5, "inertia": False},
+            "solver": {"tolerance": 1e-11},
+        }
+    )
+
+
+def head_at_the_end(file: SceneFile, relative: jax.Array):
+    """Position of the head (m) after 500 steps, and what else happened.
+
+    `relative` are the parameters in units of their values in the scene.
+    """
+    values = {name: file.parameters[name] * relative[i] for i, name in enumerate(NAMES)}
+    scene, state = derjax.build(file, values)
+    states, report = derjax.rollout(scene, state, N_FRAMES, STEPS)
+    return head_position(scene.rod.topology, states)[-1], (states.q, report)
+
+
+position = jax.jit(head_at_the_end, static_argnums=0)
+forward_mode = jax.jit(jax.jacfwd(head_at_the_end, argnums=1, has_aux=True), static_argnums=0)
+
+
+@partial(jax.jit, static_argnums=0)
+def reverse_mode(file: SceneFile, relative: jax.Array):
+    """Derivative of a mixture of the head's coordinates."""
+
+    def mixture(relative):
+        end, (_, report) = head_at_the_end(file, relative)
+        return WEIGHTS @ end, report
+
+    return jax.grad(mixture, has_aux=True)(relative)
+
+
+def touching_frames(file: SceneFile, q: jax.Array) -> int:
+    """In how many frames some pair of edges overlaps."""
+    scene, state = derjax.build(file)
+    (contact,) = (t for t in scene.terms if isinstance(t, Contact))
+    topology = scene.rod.topology
+    ends = topology.edge_nodes[contact.pairs.array].reshape(-1, 4)
+    nearest = jax.jit(lambda x: jnp.min(distance(x[..., ends, :]), axis=-1))
+    diameter = 2 * float(contact.radius)
+    assert nearest(derjax.positions(topology, state.q)) > diameter  # nothing does at the start
+    return int(jnp.sum(nearest(derjax.positions(topology, q)) < diameter))
+
+
+HYDRODYNAMICS = ["rft", pytest.param("rss", marks=pytest.mark.slow)]
+
+
+@pytest.fixture(scope="module", params=HYDRODYNAMICS)
+def case(request):
+    """A scene and the forward derivatives of its head's position, (3, 5)."""
+    file = nested(request.param)
+    jacobian, (q, report) = forward_mode(file, AT)
+    report.raise_if_failed()
+    assert touching_frames(file, q) > N_FRAMES // 2
+    return file, np.asarray(jacobian)
+
+
+def test_derivatives_in_contact_equal_central_differences(case):
+    """Of every coordinate with respect to every parameter, friction and stiffness included."""
+    file, jacobian = case
+    for i, (name, h) in enumerate(zip(NAMES, DIFFERENCES, strict=True)):
+        ends = [np.asarray(position(file, AT.at[i].add(s * h))[0]) for s in (1, -1)]
+        slope = (ends[0] - ends[1]) / (2 * h)
+        assert np.abs(slope).max() > 1e-8, name  # m: far above round-off
+        np.testing.assert_allclose(jacobian[:, i], slope, rtol=1e-4, err_msg=name)
+
+
+def test_reverse_equals_forward_in_contact(case):
+    file, jacobian = case
+    gradient, report = reverse_mode(file, AT)
+    assert report.ok
+    np.testing.assert_allclose(gradient, np.asarray(WEIGHTS) @ jacobian, rtol=1e-8)
