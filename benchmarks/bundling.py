@@ -133,16 +133,18 @@ def draw_series(table: pd.DataFrame) -> plt.Figure:
         column, colour = RATIOS.index(ratio), shades[RATES.index(rpm)]
         time = part["time (s)"]
         label = f"{rpm} rpm"
-        axes[0, column].plot(time, 100 * part["bundled part"], color=colour, lw=1, label=label)
+        bundled = part["bundled part"].rolling(20, center=True, min_periods=1).mean()
+        axes[0, column].plot(time, 100 * bundled, color=colour, lw=1, label=label)
         axes[1, column].plot(time, part["smallest distance (2 r_0)"], color=colour, lw=1)
     for column, ratio in enumerate(RATIOS):
         axes[0, column].set_title(f"pitch / radius = {ratio}", loc="left")
         axes[1, column].axhline(1, color="black", lw=0.8, ls="--")
         axes[1, column].set_xlabel("time (s)")
-    axes[0, 0].set_ylabel("bundled part (%)")
+    axes[0, 0].set_ylabel("bundled part (%), mean of 2 s")
+    axes[0, 0].set_ylim(0, None)
     axes[1, 0].set_ylabel("smallest distance / diameter")
     axes[1, 0].set_ylim(0, None)
-    axes[0, -1].legend(frameon=False, fontsize="small")
+    axes[0, 1].legend(frameon=False, fontsize="small", loc="lower right")
     return figure
 
 

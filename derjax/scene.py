@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from .corrected import corrected
 from .motor import Motor
-from .neighbours import pairs_apart
+from .neighbours import PENETRATION, pairs_apart
 from .newton import NewtonSettings
 from .pytree import Indices, replace
 from .robots import (
@@ -28,7 +28,8 @@ from .robots import (
     two_flagella,
 )
 from .rod import Rod, State, Topology, at_rest
-from .scenefile import SceneFile
+from .scenefile import InputError, SceneFile
+from .segments import distance
 from .step import Scene, advance
 from .terms.bend import Bend
 from .terms.contact import Contact
@@ -60,6 +61,7 @@ def build(scene: SceneFile, parameters: Parameters | None = None) -> tuple[Scene
 
     Raises:
         KeyError: a parameter that the scene does not have.
+        InputError: parts of the robot that must not touch overlap at the start.
     """
     known = scene.parameters
     for name in parameters or {}:
@@ -179,7 +181,21 @@ def touching_pairs(scene: SceneFile) -> Indices:
         body = _body(scene, {k: jnp.asarray(v) for k, v in scene.parameters.items()})
         start, end = body.topology.edge_nodes.T
         length = np.linalg.norm(np.asarray(body.nodes)[end] - np.asarray(body.nodes)[start], axis=1)
-    return pairs_apart(body.topology, length, np.pi * scene.robot.rod_radius)
+    pairs = pairs_apart(body.topology, length, np.pi * scene.robot.rod_radius)
+    _check_apart(scene, np.asarray(body.nodes)[body.topology.edge_nodes[pairs.array]])
+    return pairs
+
+
+def _check_apart(scene: SceneFile, ends: Float[np.ndarray, "p 2 2 3"]) -> None:
+    """Refuses a robot whose parts overlap from the start."""
+    with jax.ensure_compile_time_eval():
+        nearest = float(distance(jnp.asarray(ends.reshape(-1, 4, 3))).min())
+    if nearest < (1 - PENETRATION) * 2 * scene.robot.rod_radius:
+        raise InputError(
+            f"[robot]: two parts of the robot overlap at the start, their centre lines "
+            f"{nearest:.3g} m apart and the rod {2 * scene.robot.rod_radius:.3g} m thick; "
+            f"try a larger separation (now {scene.robot.separation:g} m) or other phases"
+        )
 
 
 def _stokeslets(scene: SceneFile, p: dict[str, Array], rod: Rod) -> StokesletSegments:

@@ -488,11 +488,29 @@ def check(model: type[T], content: dict[str, Any], path: Path) -> T:
     try:
         checked = model.model_validate(content)
     except ValidationError as error:
-        problems += [_describe(model, problem) for problem in error.errors()]
+        problems += [_describe(model, p) for p in _of_one_kind(error.errors(), content)]
     else:
         if not problems:
             return checked
     raise InputError("\n".join(f"{path}: {problem}" for problem in problems))
+
+
+LISTS = ("handedness", "phase", "rpm")
+"""Keys that take one value for all flagella, or a list with one for each."""
+
+
+def _of_one_kind(problems: list[Any], content: dict[str, Any]) -> list[Any]:
+    """What pydantic finds wrong with `LISTS`, as lists if they are and as values if not."""
+    chosen = []
+    for problem in problems:
+        place = problem["loc"]
+        if len(place) > 2 and place[1] in LISTS:
+            is_list = isinstance(content[place[0]][place[1]], list)
+            if str(place[2]).startswith("tuple") != is_list:
+                continue
+            problem = {**problem, "loc": place[:2] + place[3:]}
+        chosen.append(problem)
+    return chosen
 
 
 def _describe(model: type[BaseModel], problem: Any) -> str:

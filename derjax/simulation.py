@@ -87,7 +87,10 @@ def simulate(options: Options) -> int:
     file = load_scene(options.scene)
     sources = _sources(options.scene, file)
     _check_output(options)
-    scene, start = build(file)
+    try:
+        scene, start = build(file)
+    except InputError as error:
+        raise InputError(f"{options.scene}: {error}") from None
     checkpoint = options.output / CHECKPOINT
     recording = load_checkpoint(file, checkpoint) if options.resume else new_recording(start)
     if not options.quiet:

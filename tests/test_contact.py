@@ -4,7 +4,7 @@ Two rods of unit length, a tenth thick, with five edges each so that their middl
 node. In steps of time without inertia or drag what is found is an equilibrium.
 """
 
-from itertools import product
+from itertools import pairwise, product
 from typing import Any
 
 import jax
@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from helpers import elasticity, expand, held_dofs, order, rest, rotation
 
-from derjax import Rod, Scene, State, Topology, advance, positions, rollout
+from derjax import Scene, State, Topology, advance, positions, rollout
 from derjax.neighbours import Neighbours, pairs_apart, search
 from derjax.newton import NewtonSettings
 from derjax.potential import Pairs
-from derjax.pytree import Indices, replace
-from derjax.segments import distance, near
+from derjax.pytree import replace
+from derjax.segments import distance
 from derjax.status import Status
 from derjax.terms import Gravity, Inertia, Interval, Term
 from derjax.terms.contact import RAMP, SOFTNESS, Contact, Repulsion, Touch, energy, force, meeting
@@ -491,7 +491,7 @@ def test_parallel_rods_slide_over_each_others_nodes_smoothly():
     shifts = np.linspace(-0.01, 0.01, 801)
     curve = [np.asarray(v) for v in sliding_energy(shifts)]
     h = shifts[1] - shifts[0]
-    for value, slope in zip(curve, curve[1:], strict=False):
+    for value, slope in pairwise(curve):
         assert np.abs(slope).max() > 0
         error = np.diff(value) - h * 0.5 * (slope[1:] + slope[:-1])
         assert np.abs(error).max() < 0.02 * h * np.abs(slope).max()
@@ -515,7 +515,8 @@ def stored(scene: Scene, states: State) -> jax.Array:
     """Elastic energy and that of contacts in every one of the states, J."""
 
     def of(state):
-        elastic = [t.contribution(scene.rod, state, None) for t in scene.terms[:3]]
+        interval = Interval(scene.step_length, state.motor_angle)
+        elastic = [t.contribution(scene.rod, state, interval) for t in scene.terms[:3]]
         bodies = sum(e.value(state.q) for e in elastic)
         return bodies + contact_forces(scene, state)[1]
 

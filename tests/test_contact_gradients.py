@@ -4,8 +4,8 @@ The robot is as small as it can be: nine edges to a flagellum, and axes 8 mm apa
 helices of 6.4 mm radius are nested in each other. They do not touch at the start, but soon do,
 and at different rates they stay in contact in most of the steps. The run ends before the motion
 has become chaotic: only then are there finite differences to compare with. Central
-differences need steps of 1e-5 of a parameter, as larger ones change which edges meet; the stiffness of
-contacts, which hardly matters, takes larger ones.
+differences need steps of 1e-5 of a parameter, as larger ones change which edges meet; the
+stiffness of contacts, which hardly matters, takes larger ones.
 """
 
 from functools import partial

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from derjax import build
 from derjax.commands.new import template
 from derjax.scenefile import UNITS, InputError, SceneFile, check, load_scene
 
@@ -183,3 +184,24 @@ def test_template_has_every_key_with_its_default():
 def test_template_motor_table(tmp_path):
     path = scene_with(tmp_path, "[motor]\ntable = 'motor.csv'\n", motor_csv=template("motor.csv"))
     assert load_scene(path).motor_table is not None
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[robot]\nphase = 'a'", '[robot] phase = "a": should be a valid number'),
+        (
+            "[robot]\nkind = 'two_flagella'\nhandedness = ['left', 'up']",
+            "[robot] handedness (entry 2) = \"up\": should be 'left' or 'right'",
+        ),
+        ("[motor]\nrpm = 'fast'", '[motor] rpm = "fast": should be a valid number'),
+    ],
+)
+def test_values_or_lists_of_them_are_refused_in_one_line(tmp_path, text, said):
+    assert complaint(scene_with(tmp_path, text)).splitlines() == [f"{tmp_path}/scene.toml: {said}"]
+
+
+def test_parts_that_overlap_at_the_start_are_refused():
+    robot = {"kind": "two_flagella", "separation": 4e-3, "handedness": ["left", "right"]}
+    with pytest.raises(InputError, match=r"\[robot\].*overlap at the start.*separation"):
+        build(SceneFile.model_validate({"robot": robot}))

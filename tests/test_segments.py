@@ -183,7 +183,7 @@ def test_closest_points_are_on_the_segments_and_give_the_distance():
     assert np.max(s) <= 1
     assert np.min(t) >= 0
     assert np.max(t) <= 1
-    apart = norm(np.asarray(between(jnp.asarray(PAIRS), s, t)))
+    apart = norm(np.asarray(between(*(jnp.asarray(x) for x in (PAIRS, s, t)))))
     assert np.max(np.abs(apart - norm(GAP)) / SIZE) < 1e-10
     good = UNIQUE & (ANGLE > 0.1) & (np.minimum(*LENGTHS) > 0.01)
     assert np.abs(s - S)[good].max() < 1e-10
@@ -228,12 +228,12 @@ near_all = jax.jit(jax.vmap(near, in_axes=(0, None)))
 
 
 def squared(pair, softness=SOFTNESS):
-    return near(pair, softness).squared
+    return near(pair, jnp.asarray(softness)).squared
 
 
 @pytest.fixture(scope="module")
 def soft() -> Near:
-    return Near(*(np.asarray(x) for x in near_all(PAIRS, SOFTNESS)))
+    return jax.tree.map(np.asarray, near_all(PAIRS, SOFTNESS))
 
 
 def slope_of_barrier(a: np.ndarray) -> np.ndarray:
@@ -308,7 +308,7 @@ def expansion(pair, along):
     """
 
     def line(x):
-        return near(pair + x * along, SOFTNESS)
+        return near(pair + x * along, jnp.asarray(SOFTNESS))
 
     first = jax.jacfwd(lambda x: line(x).squared)
     second = jax.jacfwd(first)
@@ -345,7 +345,7 @@ def test_near_points_move_as_their_derivative_says(expanded):
     chosen = of("random", "crossing", "passing", "parallel", "antiparallel", "collinear")
 
     def points(x):
-        return np.stack(near_all(x, SOFTNESS)[2:], axis=1)
+        return jnp.stack(near_all(x, SOFTNESS)[2:], axis=1)
 
     expected = finite_difference_jvp(points, PAIRS, ALONG, 3e-7)
     scale = 1 + np.abs(expanded[2]) ** 3  # of the truncation: the points of parallel ones are fast

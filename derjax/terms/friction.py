@@ -6,9 +6,9 @@ the start of the step. With u the slip of the two surfaces during a step of leng
     h Phi = mu_f N (sqrt(|u|^2 + (h v_s)^2) - h v_s),
 
 whose force tends to mu_f N for slip faster than v_s. Surfaces move with their edges and turn
-with them: the point of a surface at -+ r_0 n from the centre line, n the unit normal from the
-second rod to the first, moves by w x (-+ r_0 n) beyond its centre line, with the rotation w of
-its edge. Two rods that turn as one rigid body therefore do not slip.
+with them: the point of a surface at -+ d/2 n from the centre line, d the distance and n the unit
+normal from the second rod to the first, moves by w x (-+ d/2 n) beyond its centre line, with the
+rotation w of its edge. Two rods that turn as one rigid body therefore do not slip.
 """
 
 from collections.abc import Sequence
@@ -37,12 +37,13 @@ def slip(
     """
     at, d = meeting(local, diameter)
     x0, x1, y0, y1 = local.reshape(4, 3)
-    normal = at.gap / jnp.sqrt(dot(at.gap, at.gap) + (1e-6 * diameter) ** 2)
+    apart = jnp.sqrt(dot(at.gap, at.gap) + (1e-6 * diameter) ** 2)
+    normal = at.gap / apart
     across = jnp.eye(3) - jnp.outer(normal, normal)
     nodes = jnp.kron(weights(at), jnp.eye(3))
-    # Both surfaces lie between the two centre lines: in the difference of their motions the
-    # arms of the first and of the second have the same sign.
-    arm = -0.5 * diameter
+    # Both surfaces lie halfway between the two centre lines: in the difference of their motions
+    # the arms of the first and of the second have the same sign.
+    arm = -0.5 * apart
     columns = []
     for start, end, first in ((x0, x1, 0), (y0, y1, 6)):
         edge = end - start
