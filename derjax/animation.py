@@ -290,7 +290,7 @@ def ffmpeg() -> str:
     if found := shutil.which(mpl.rcParams["animation.ffmpeg_path"]):
         return found
     try:
-        from imageio_ffmpeg import get_ffmpeg_exe  # optional
+        from imageio_ffmpeg import get_ffmpeg_exe  # optional  # pyright: ignore[reportMissingImports]
 
         return get_ffmpeg_exe()
     except (ImportError, RuntimeError) as error:

@@ -38,8 +38,12 @@ class LocalPotential(Protocol):
 
     def hessian(self, local: Array, data: Any) -> Array: ...
 
+
+class ElementPotential(LocalPotential, Protocol):
+    """One that can be added up with others of its kind before it is differentiated."""
+
     @classmethod
-    def together(cls, parts: Sequence[tuple[Any, Any]]) -> tuple["LocalPotential", Any]:
+    def together(cls, parts: Sequence[tuple[Any, Any]]) -> tuple["ElementPotential", Any]:
         """One potential, and its data, for the sum of several (potential, data)."""
         ...
 
@@ -83,7 +87,7 @@ class Elements:
     """
 
     dofs: Indices = static()
-    potential: LocalPotential = static()
+    potential: ElementPotential = static()
     data: Any
 
     def value(self, q: Dofs) -> Array:

@@ -13,9 +13,7 @@ A the second derivatives of D with respect to (s, t),
     dD/dx = 2 w (x) g,    d2D/dx2 = 2 w w^T (x) 1 - G A^-1 G^T,    G = d(dD/dx)/d(s, t).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -103,10 +101,6 @@ class Repulsion:
         squared = jnp.kron(jnp.outer(w, w), jnp.eye(3)) - g @ inverse @ g.T
         normal = jnp.outer(w, at.gap / d).ravel()
         return (_stiffness(d, data) - pull) * jnp.outer(normal, normal) + pull * squared
-
-    @classmethod
-    def together(cls, parts: Sequence[tuple["Repulsion", Any]]) -> tuple["Repulsion", Any]:
-        raise NotImplementedError("pairs are never put together")
 
 
 @pytree

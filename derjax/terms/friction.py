@@ -11,9 +11,7 @@ normal from the second rod to the first, moves by w x (-+ d/2 n) beyond its cent
 rotation w of its edge. Two rods that turn as one rigid body therefore do not slip.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -89,10 +87,6 @@ class Rubbing:
         size = jnp.sqrt(dot(u, u) + data.smallest**2)
         inner = jnp.eye(3) - jnp.outer(u / size, u / size)
         return data.strength / size * data.slip.T @ inner @ data.slip
-
-    @classmethod
-    def together(cls, parts: Sequence[tuple["Rubbing", Any]]) -> tuple["Rubbing", Any]:
-        raise NotImplementedError("pairs are never put together")
 
 
 @pytree
