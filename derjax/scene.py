@@ -167,7 +167,7 @@ def _terms(
 
 def _contact(scene: SceneFile, p: dict[str, Array], rod: Rod) -> Contact:
     pairs = touching_pairs(scene)
-    capacity = scene.contact.capacity or rod.topology.n_edges
+    capacity = scene.contact.capacity or 3 * rod.topology.n_edges // 2
     return Contact(p["contact_stiffness"], p["rod_radius"], pairs, min(capacity, len(pairs.array)))
 
 

@@ -567,7 +567,6 @@ def test_complaints_are_one_line_that_names_file_and_key(tmp_path, text, expecte
         "[motor]\nrpm = true",
     ],
 )
-@pytest.mark.xfail(reason="keys that take a value or a list are told twice, with types in them")
 def test_complaints_about_keys_that_take_a_value_or_a_list(tmp_path, text):
     said = complaint(tmp_path, text)
     assert "\n" not in said
