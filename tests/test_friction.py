@@ -100,7 +100,10 @@ def rubbing(x, data):
 
 @pytest.fixture(scope="module")
 def rubbed() -> tuple[np.ndarray, ...]:
-    """For slip far below, about and far above the smallest; then what `rubbing` finds."""
+    """For slip far below, about and far above the smallest: its size, the motion, the slip.
+
+    Then what `rubbing` finds.
+    """
     rng = np.random.default_rng(4)
     matrix = slip_of(skew_pairs(rng))
     n = len(matrix)
@@ -109,22 +112,27 @@ def rubbed() -> tuple[np.ndarray, ...]:
     size[:10] = 0.0
     old, move = rng.standard_normal((2, n, 14))
     data = Sliding(matrix, jnp.asarray(old), jnp.full(n, 2.5), jnp.full(n, smallest))
-    return size, move, *(np.asarray(v) for v in rubbing(old + size[:, None] * move, data))
+    slipped = size[:, None] * np.einsum("nij,nj->ni", matrix, move)
+    found = rubbing(old + size[:, None] * move, data)
+    return size, move, slipped, *(np.asarray(v) for v in found)
 
 
 def test_friction_force_is_the_slope_of_the_dissipation(rubbed):
-    _, _, _, gradient, hessian, by_jax, bend_by_jax = rubbed
+    *_, gradient, hessian, by_jax, bend_by_jax = rubbed
     np.testing.assert_allclose(gradient, by_jax, atol=1e-13 * np.abs(by_jax).max())
     np.testing.assert_allclose(hessian, bend_by_jax, atol=1e-12 * np.abs(bend_by_jax).max())
     assert np.linalg.eigvalsh(hessian).min() > -1e-10 * np.abs(hessian).max()  # convex
 
 
 def test_friction_only_dissipates_and_tends_to_coulombs_law(rubbed):
-    size, move, value, gradient, *_ = rubbed
+    size, move, slipped, value, gradient, *_ = rubbed
     assert value.min() >= 0
     assert np.all(value[size == 0] == 0)
     assert np.sum(gradient * move, axis=1).min() >= 0
-    force = np.linalg.norm(gradient[:, :3] + gradient[:, 3:6], axis=1)  # on the first edge
+    push = -(gradient[:, :3] + gradient[:, 3:6])  # on the first edge
+    force, slip_size = np.linalg.norm(push, axis=1), np.linalg.norm(slipped, axis=1)
+    opposite = np.sum(push * slipped, axis=1)
+    np.testing.assert_allclose(opposite, -force * slip_size, rtol=1e-9)
     assert force.max() <= 2.5 * (1 + 1e-12)
     fast = size > 0.1
     assert np.sum(fast) > 20
@@ -230,6 +238,28 @@ def test_threshold_of_sliding_is_the_coefficient_of_friction():
     assert low == pytest.approx(1, abs=0.02)
 
 
+run = jax.jit(rollout, static_argnums=(2, 3))
+
+
+@pytest.mark.parametrize("spin", [60.0, -60.0, 20.0])
+def test_spinning_rod_drives_itself_sideways_until_it_rolls(spin):
+    """With mu g, while mu N r slows its spin; then as a cylinder rolls, at a third of its spin."""
+    scene, state = on_a_slope(0.0)
+    around_itself = RAILS.edge_dofs((2,))
+    state = replace(state, velocity=state.velocity.at[around_itself].set(spin))
+    states, report = run(scene, state, 1, STEPS)
+    assert report.ok
+    velocity = np.asarray(states.velocity)[-1]
+    radius, mass = DIAMETER / 2, BLOCK.sum()
+    speed = min(MU * STEP * STEPS, abs(spin) * radius / 3)
+    slowed = mass * speed * radius / (0.5 * mass * radius**2)
+    ends = positions(RAILS, velocity)[4:]
+    np.testing.assert_allclose(ends[:, 1], -np.sign(spin) * speed, rtol=0.01)
+    assert float(velocity[around_itself][0]) == pytest.approx(
+        np.sign(spin) * (abs(spin) - slowed), rel=0.01
+    )
+
+
 def test_distance_of_sliding_by_the_coefficient_of_friction():
     """Forward and reverse mode, central differences, and -g cos(a) t^2 / 2."""
     scene, state = on_a_slope(0.8)
@@ -250,15 +280,23 @@ def test_derivatives_are_finite_without_sliding_and_without_contact(tangent, abo
         assert np.isfinite(leaf).all()
     friction = gradient.terms[-1].coefficient
     assert (abs(float(friction)) > 1e-8) == (tangent > 0 and above == 0)
+    forward = float(slope_of_slide(scene, state, MU))
+    assert forward == pytest.approx(float(friction), rel=1e-9, abs=1e-14)
+
+
+def soon(scene: Scene, state: State) -> jax.Array:
+    """Where the block is after a few steps, m."""
+    states, _ = rollout(scene, state, 1, 5)
+    return jnp.mean(positions(RAILS, states.q[-1])[4:, 0])
+
+
+gradient_of_slide = jax.jit(jax.grad(soon, allow_int=True))
 
 
 @jax.jit
-def gradient_of_slide(scene: Scene, state: State) -> Scene:
-    def distance(scene):
-        states, _ = rollout(scene, state, 1, 5)
-        return jnp.mean(positions(RAILS, states.q[-1])[4:, 0])
-
-    return jax.grad(distance, allow_int=True)(scene)
+def slope_of_slide(scene: Scene, state: State, mu: Any) -> jax.Array:
+    """By the coefficient of friction, in forward mode."""
+    return jax.jacfwd(lambda mu: soon(with_friction(scene, mu), state))(mu)
 
 
 # Pulled around --------------------------------------------------------------------------------
