@@ -5,6 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from derjax import at_rest, chain
+from derjax.potential import gather
 from derjax.terms import Interval, ResistiveDrag, StokesletSegments
 
 
@@ -63,7 +64,7 @@ def resistive_resistance(
     rod, state = at_rest(chain(n, filaments=(tuple(range(n)),)), nodes)
     term = ResistiveDrag(jnp.asarray(parallel), jnp.asarray(normal))
     second = Interval(jnp.ones(()), jnp.zeros(0))
-    return term.contribution(rod, state, second).hessian(state.q)[: 3 * n, : 3 * n]
+    return gather([term.contribution(rod, state, second)]).hessian(state.q)[: 3 * n, : 3 * n]
 
 
 def propulsion(matrix: Float[Array, "6 6"]) -> dict[str, float]:

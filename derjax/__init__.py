@@ -27,6 +27,5 @@ from .scenefile import load_scene as load_scene  # noqa: E402
 from .status import SolverError as SolverError  # noqa: E402
 from .status import Status as Status  # noqa: E402
 from .step import Scene as Scene  # noqa: E402
-from .step import advance as advance  # noqa: E402
 
 __version__ = version("derjax")

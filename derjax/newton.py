@@ -19,7 +19,7 @@ from jax import lax
 from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Float, Int
 
-from .linear import factor
+from .linear import Factor, factor
 from .potential import Dofs, Potential
 from .pytree import pytree, replace, static
 from .status import Status
@@ -28,6 +28,11 @@ _SEARCHING = -1
 
 CLOSE = 1e5
 """Tolerances; with less than that left the residual alone tells whether a step is good."""
+
+
+CHORDS = 8
+"""Steps that one may still have to take with a matrix that is out of date: more of them, at the
+rate at which the residual falls, cost more than a new matrix."""
 
 
 @pytree
@@ -49,25 +54,58 @@ class NewtonSettings:
 
 @pytree
 class NewtonInfo:
-    """What happened: status code, Newton iterations, largest scaled residual left."""
+    """What happened.
+
+    Attributes:
+        status: how it ended, a `Status`.
+        iterations: steps of Newton's method, with new matrices and old.
+        factorings: matrices that were factored.
+        residual: the largest scaled residual left.
+    """
 
     status: Int[Array, ""]
     iterations: Int[Array, ""]
+    factorings: Int[Array, ""]
     residual: Float[Array, ""]
 
 
+def worse(first: NewtonInfo, second: NewtonInfo) -> NewtonInfo:
+    """What happened in two solves, of which one follows on the other."""
+    good = first.status == Status.OK
+    return NewtonInfo(
+        status=jnp.where(good, second.status, first.status),
+        iterations=first.iterations + second.iterations,
+        factorings=first.factorings + second.factorings,
+        residual=jnp.where(good, jnp.maximum(first.residual, second.residual), first.residual),
+    )
+
+
 @pytree
-class _Search:
-    """A point, the Newton direction there, and the part of it that is tried next."""
+class _Point:
+    """What is known where the iteration has come to."""
 
     q: Dofs
     value: Array
     gradient: Dofs
     residual: Array
+
+
+@pytree
+class _Search:
+    """A point, the direction in which to go from there, and the part of it that is tried next.
+
+    The Newton matrix is `fresh` if it is that of the point, and `outdated` if the next step
+    should not be taken with it.
+    """
+
+    point: _Point
     direction: Dofs
     length: Array
     tolerance: Array
     iterations: Array
+    factorings: Array
+    fresh: Array
+    outdated: Array
     status: Array
 
 
@@ -99,79 +137,104 @@ def equilibrium(
     def scaled(force):
         return jnp.max((jnp.abs(force) / settings.force_scale)[chosen])
 
-    def newton_direction(q, gradient):
-        matrix = potential.hessian(q)
-        # No residual can be smaller than what rounding the coordinates alone makes of it.
-        rounding = 4.0 * jnp.finfo(q.dtype).eps * scaled(jnp.diagonal(matrix) * q)
-        matrix = matrix[chosen][:, chosen]
-        step = -factor(matrix, symmetric).solve(gradient[chosen])
-        direction = step if free is None else _insert(jnp.zeros_like(q), step, free)
-        return direction, jnp.maximum(settings.tolerance, rounding)
+    def along(matrix: Factor, gradient: Dofs) -> Dofs:
+        step = -matrix.solve(gradient[chosen])
+        return step if free is None else _insert(jnp.zeros_like(gradient), step, free)
 
-    # One loop for Newton's steps and for halving them, so that the potential, its gradient
-    # and its Hessian each stand at one place in the program: they are what compiling costs.
-    def advance(now: _Search) -> _Search:
-        q = now.q + now.length * now.direction
+    def reach(q: Dofs, direction: Dofs) -> Array:
+        return potential.reach(q, direction) if potential.guards else jnp.ones(())
+
+    # The potential, its gradient and its Hessian each stand at one place in the program: they
+    # are what compiling costs. A loop within a loop, and not a choice within one, as matrices
+    # that are handed on from one iteration to the next would be copied.
+    def renew(now: _Search) -> _Search:
+        q = now.point.q
+        stiffness = potential.hessian(q)
+        # No residual can be smaller than what rounding the coordinates alone makes of it.
+        rounding = 4.0 * jnp.finfo(q.dtype).eps * scaled(jnp.diagonal(stiffness) * q)
+        matrix = factor(stiffness[chosen][:, chosen], symmetric)
+        direction = along(matrix, now.point.gradient)
+        start = replace(
+            now,
+            direction=direction,
+            length=reach(q, direction),
+            tolerance=jnp.maximum(settings.tolerance, rounding),
+            factorings=now.factorings + 1,
+            fresh=jnp.array(True),
+            outdated=jnp.array(False),
+        )
+        return lax.while_loop(
+            lambda now: (now.status == _SEARCHING) & ~now.outdated, partial(advance, matrix), start
+        )
+
+    def advance(matrix: Factor, now: _Search) -> _Search:
+        q = now.point.q + now.length * now.direction
         if symmetric:
             value, gradient = potential.value_and_gradient(q)
         else:
-            value, gradient = now.value, potential.gradient(q)
-        residual = scaled(gradient)
-        accepted = residual <= (1.0 - 1e-4 * now.length) * now.residual
+            value, gradient = now.point.value, potential.gradient(q)
+        residual, before = scaled(gradient), now.point.residual
+        accepted = residual <= (1.0 - 1e-4 * now.length) * before
         if symmetric:
-            slope = now.direction @ now.gradient
+            slope = now.direction @ now.point.gradient
             # Far from the solution a smaller residual alone will not do: where rods touch,
             # iterations that trade the one for the other may go round in circles. Close to it
             # the potential says nothing any more, for rounding.
-            close = now.residual <= CLOSE * now.tolerance
-            accepted &= close | (value <= now.value)
-            accepted |= (slope < 0) & (value <= now.value + 1e-4 * now.length * slope)
+            close = before <= CLOSE * now.tolerance
+            accepted &= close | (value <= now.point.value)
+            accepted |= (slope < 0) & (value <= now.point.value + 1e-4 * now.length * slope)
         finite = jnp.isfinite(residual)
         accepted &= finite
         solved = accepted & (residual <= now.tolerance)
         count = now.iterations + 1
-        direction, tolerance = lax.cond(
-            accepted & ~solved,
-            lambda: newton_direction(q, gradient),
-            lambda: (now.direction, now.tolerance),
-        )
+
+        # The steps that are left if each lowers the residual by as much as this one did. What
+        # the first evaluation, at the guess, has before it says nothing: it needs no new matrix.
+        left = jnp.log(now.tolerance / residual) / jnp.log(residual / before)
+        lasting = (now.length == 1.0) & (residual < before) & (left <= CHORDS)
+        first = now.iterations < 0
+        outdated = ~solved & jnp.where(accepted, ~first & ~lasting, ~now.fresh)
         # Near the solution rounding may leave no step that lowers the residual any further.
-        stalled = now.residual <= 100.0 * now.tolerance
+        stalled = before <= 100.0 * now.tolerance
         status = jnp.select(
             [
                 solved,
                 accepted & (count > settings.max_iterations),
-                accepted | (now.length > shortest),
+                accepted | outdated | (now.length > shortest),
                 stalled,
                 finite,
             ],
             [Status.OK, Status.MAX_ITERATIONS, _SEARCHING, Status.OK, Status.LINE_SEARCH],
             Status.NON_FINITE,
         )
-        length = jnp.ones(())
-        if potential.guards:
-            length = lax.cond(
-                accepted & ~solved, lambda: potential.reach(q, direction), lambda: length
-            )
-        here = _Search(q, value, gradient, residual, direction, length, tolerance, count, status)
-        shorter = replace(now, length=0.5 * now.length, status=status)
-        return jax.tree.map(lambda a, b: jnp.where(accepted, a, b), here, shorter)
+        direction = along(matrix, gradient)
+        here = replace(
+            now,
+            point=_Point(q, value, gradient, residual),
+            direction=direction,
+            length=reach(q, direction),
+            iterations=count,
+            fresh=first,
+        )
+        shorter = replace(now, length=0.5 * now.length)
+        new = jax.tree.map(lambda a, b: jnp.where(accepted, a, b), here, shorter)
+        return replace(new, status=status.astype(jnp.int32), outdated=outdated)
 
     infinite = jnp.array(jnp.inf, guess.dtype)
     start = _Search(
-        q=guess,
-        value=infinite,
-        gradient=jnp.zeros_like(guess),
-        residual=infinite,
+        point=_Point(guess, infinite, jnp.zeros_like(guess), infinite),
         direction=jnp.zeros_like(guess),
         length=jnp.ones(()),
         tolerance=settings.tolerance,
-        iterations=jnp.array(-1),  # the first evaluation, at the guess, is not a Newton step
-        status=jnp.array(_SEARCHING),
+        iterations=jnp.array(-1, jnp.int32),  # the first evaluation is not a Newton step
+        factorings=jnp.zeros((), jnp.int32),
+        fresh=jnp.array(True),
+        outdated=jnp.array(True),
+        status=jnp.array(_SEARCHING, jnp.int32),
     )
-    end = lax.while_loop(lambda now: now.status == _SEARCHING, advance, start)
-    info = NewtonInfo(end.status.astype(jnp.int32), jnp.maximum(end.iterations, 0), end.residual)
-    return end.q, info
+    end = lax.while_loop(lambda now: now.status == _SEARCHING, renew, start)
+    iterations = jnp.maximum(end.iterations, 0)
+    return end.point.q, NewtonInfo(end.status, iterations, end.factorings, end.point.residual)
 
 
 @equilibrium.defjvp
@@ -203,4 +266,4 @@ def _equilibrium_jvp(free, primals, tangents):
     )
     dq = step if free is None else _insert(clamped, step, free)
     none: Any = np.zeros((), jax.dtypes.float0)  # the tangent of an integer
-    return (q, info), (dq, NewtonInfo(none, none, jnp.zeros_like(info.residual)))
+    return (q, info), (dq, NewtonInfo(none, none, none, jnp.zeros_like(info.residual)))

@@ -18,6 +18,7 @@ from typing import Any, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
@@ -76,6 +77,11 @@ class Autodiff:
         return cls(Sum(p.function for p, _ in parts)), tuple(data for _, data in parts)
 
 
+def _add_blocks(matrix: Matrix, dofs: Int[Any, "b k"], blocks: Float[Array, "b k k"]) -> Matrix:
+    """With a small matrix added at the degrees of freedom of every element."""
+    return matrix.at[dofs[:, :, None], dofs[:, None, :]].add(blocks)
+
+
 @pytree
 class Elements:
     """`sum_b potential(q[dofs[b]], data[b])`.
@@ -97,10 +103,9 @@ class Elements:
         local = jax.vmap(self.potential.gradient)(q[self.dofs.array], self.data)
         return jnp.zeros_like(q).at[self.dofs.array].add(local)
 
-    def hessian(self, q: Dofs) -> Matrix:
+    def add_hessian(self, matrix: Matrix, q: Dofs) -> Matrix:
         local = jax.vmap(self.potential.hessian)(q[self.dofs.array], self.data)
-        rows, columns = self.dofs.array[:, :, None], self.dofs.array[:, None, :]
-        return jnp.zeros((q.size, q.size), q.dtype).at[rows, columns].add(local)
+        return _add_blocks(matrix, self.dofs.array, local)
 
 
 class Guard(Protocol):
@@ -167,11 +172,9 @@ class Pairs:
 
         return self._if_any(both, (jnp.zeros(()), zero))
 
-    def hessian(self, q: Dofs) -> Matrix:
-        zero = jnp.zeros((q.size, q.size), q.dtype)
-        rows, columns = self.dofs[:, :, None], self.dofs[:, None, :]
+    def add_hessian(self, matrix: Matrix, q: Dofs) -> Matrix:
         return self._if_any(
-            lambda: zero.at[rows, columns].add(self._each(q, self.potential.hessian)), zero
+            lambda: _add_blocks(matrix, self.dofs, self._each(q, self.potential.hessian)), matrix
         )
 
 
@@ -213,9 +216,13 @@ class Quadratic:
         local = (q - self.origin)[self.dofs.array]
         return jnp.zeros_like(q).at[self.dofs.array].add(self.operator.apply(local))
 
-    def hessian(self, q: Dofs) -> Matrix:
-        rows, columns = self.dofs.array[:, None], self.dofs.array[None, :]
-        return jnp.zeros((q.size, q.size), q.dtype).at[rows, columns].add(self.operator.matrix())
+    def add_hessian(self, matrix: Matrix, q: Dofs) -> Matrix:
+        dofs, block = self.dofs.array, self.operator.matrix()
+        first, size = int(dofs[0]), len(dofs)
+        if np.array_equal(dofs, first + np.arange(size)):  # quicker than a scatter
+            rest = (first, q.size - first - size)
+            return matrix + jnp.pad(block, (rest, rest))
+        return matrix.at[dofs[:, None], dofs[None, :]].add(block)
 
 
 @pytree
@@ -236,8 +243,8 @@ class Diagonal:
     def gradient(self, q: Dofs) -> Dofs:
         return self.weight * (q - self.origin)
 
-    def hessian(self, q: Dofs) -> Matrix:
-        return jnp.diag(self.weight)
+    def add_hessian(self, matrix: Matrix, q: Dofs) -> Matrix:
+        return matrix + jnp.diag(self.weight)
 
 
 @pytree
@@ -256,8 +263,8 @@ class Load:
     def gradient(self, q: Dofs) -> Dofs:
         return -self.force
 
-    def hessian(self, q: Dofs) -> Matrix:
-        return jnp.zeros((q.size, q.size), q.dtype)
+    def add_hessian(self, matrix: Matrix, q: Dofs) -> Matrix:
+        return matrix
 
 
 Contribution = Elements | Pairs | Quadratic | Diagonal | Load
@@ -306,7 +313,11 @@ class Potential:
         return jnp.asarray(sum(v for v, _ in parts)), jnp.asarray(sum(g for _, g in parts))
 
     def hessian(self, q: Dofs) -> Matrix:
-        return jnp.asarray(sum(c.hessian(q) for c in self.contributions))
+        matrix = jnp.zeros((q.size, q.size), q.dtype)
+        # Whole matrices first: what adds blocks after them can do it in place.
+        for c in sorted(self.contributions, key=lambda c: isinstance(c, Elements | Pairs)):
+            matrix = c.add_hessian(matrix, q)
+        return matrix
 
 
 def gather(contributions: Sequence[Contribution]) -> Potential:

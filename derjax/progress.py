@@ -15,50 +15,55 @@ SECONDS_BETWEEN_LINES = 30.0
 
 
 class Progress:
-    """Progress of a run on stderr: a bar on a terminal, now and then a line elsewhere.
+    """Progress on stderr: a bar on a terminal, now and then a line elsewhere.
 
     Args:
-        n_steps: steps of the whole run.
-        step_length: s.
-        done: steps that have been done before.
+        total: how much there is to do.
+        unit: of that, in the plural.
+        done: how much has been done before.
         quiet: show nothing.
         stream: where to write; stderr if None.
     """
 
     def __init__(
         self,
-        n_steps: int,
-        step_length: float,
-        done: int = 0,
+        total: float,
+        unit: str,
+        done: float = 0.0,
         quiet: bool = False,
         stream: TextIO | None = None,
     ) -> None:
         self._stream = sys.stderr if stream is None else stream
-        self._n_steps, self._step_length, self._first = n_steps, step_length, done
+        self._total, self._unit, self._first = total, unit, done
         self._quiet = quiet
         self._began = self._told = time.monotonic()
         self._bar = None
         if not quiet and self._stream.isatty():
             self._bar = tqdm(
-                total=n_steps, initial=done, unit=" steps", file=self._stream, dynamic_ncols=True
+                total=total,
+                initial=done,
+                file=self._stream,
+                dynamic_ncols=True,
+                bar_format="{percentage:3.0f} %|{bar}| {n:.4g} of {total:.4g}{unit}, "
+                "{rate_fmt}, {remaining} left",
+                unit=f" {unit}",
             )
 
-    def update(self, done: int) -> None:
-        """`done` steps of the whole run have been done."""
+    def update(self, done: float) -> None:
+        """So much of all has been done."""
         if self._bar is not None:
-            self._bar.set_postfix_str(f"t = {done * self._step_length:.4g} s", refresh=False)
             self._bar.update(done - self._bar.n)
         elif not self._quiet and time.monotonic() - self._told > SECONDS_BETWEEN_LINES:
             self._told = time.monotonic()
             print(self.line(done, self._told - self._began), file=self._stream, flush=True)
 
-    def line(self, done: int, elapsed: float) -> str:
-        """One line on the state of the run after `elapsed` seconds."""
+    def line(self, done: float, elapsed: float) -> str:
+        """One line on how far it has come after `elapsed` seconds."""
         rate = (done - self._first) / elapsed
-        left = (self._n_steps - done) / rate if rate > 0 else float("nan")
+        left = (self._total - done) / rate if rate > 0 else float("nan")
         return (
-            f"t = {done * self._step_length:.4g} of {self._n_steps * self._step_length:.4g} s "
-            f"({100 * done / self._n_steps:.0f} %), {rate:.3g} steps/s, {left:.0f} s left"
+            f"{done:.4g} of {self._total:.4g} {self._unit} ({100 * done / self._total:.0f} %), "
+            f"{rate:.3g} {self._unit}/s, {left:.0f} s left"
         )
 
     def __enter__(self) -> Self:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .geometry import any_normal, cross, dot, norm, parallel_transport, signed_angle, unit
-from .pytree import Indices, pytree, static
+from .pytree import Indices, pytree, replace, static
 
 
 @pytree
@@ -163,8 +163,13 @@ class State:
 
     Attributes:
         q: (d,) node positions (m), then edge angles (rad).
-        velocity: (d,) m/s and rad/s over the step just taken.
-        velocity_change: (d,) m/s and rad/s, from the step before it.
+        velocity: (d,) m/s and rad/s.
+        acceleration: (d,) m/s^2 and rad/s^2.
+        mean_velocity: (d,) m/s and rad/s over the step just taken.
+        mean_acceleration: (d,) m/s^2 and rad/s^2, from the middle of the step before to that of
+            the step just taken.
+        jerk: (d,) m/s^3 and rad/s^3, likewise.
+        length: s, of the step just taken.
         reference_director: (e, 3) first reference director of each edge.
         reference_twist: (b,) rad, twist of the reference frames across each hinge.
         motor_angle: (k,) rad, angle that each motor has turned.
@@ -174,7 +179,11 @@ class State:
 
     q: Float[Array, " d"]
     velocity: Float[Array, " d"]
-    velocity_change: Float[Array, " d"]
+    acceleration: Float[Array, " d"]
+    mean_velocity: Float[Array, " d"]
+    mean_acceleration: Float[Array, " d"]
+    jerk: Float[Array, " d"]
+    length: Float[Array, ""]
     reference_director: Float[Array, "e 3"]
     reference_twist: Float[Array, " b"]
     motor_angle: Float[Array, " k"]
@@ -326,7 +335,11 @@ def at_rest(topology: Topology, nodes: Float[Array, "n 3"]) -> tuple[Rod, State]
     state = State(
         q=q,
         velocity=jnp.zeros_like(q),
-        velocity_change=jnp.zeros_like(q),
+        acceleration=jnp.zeros_like(q),
+        mean_velocity=jnp.zeros_like(q),
+        mean_acceleration=jnp.zeros_like(q),
+        jerk=jnp.zeros_like(q),
+        length=jnp.zeros(()),
         reference_director=director,
         reference_twist=m_ref,
         motor_angle=jnp.zeros(len(topology.motors) + len(topology.spindles)),
@@ -358,13 +371,11 @@ def carry_frames(rod: Rod, state: State, q: Float[Array, " d"]) -> State:
     motor_angle = motor_angle - 2 * jnp.pi * motor_turns
     if topology.motors:
         twist = twist.at[np.array(topology.motors)].add(-2 * jnp.pi * motor_turns)
-    return State(
+    return replace(
+        state,
         q=q,
-        velocity=state.velocity,
-        velocity_change=state.velocity_change,
         reference_director=director,
         reference_twist=twist,
         motor_angle=motor_angle,
         turns=state.turns + turns,
-        time=state.time,
     )

@@ -8,10 +8,14 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from .pytree import pytree
+from .control import AFTER_FAILURE, Control
+from .pytree import pytree, replace
 from .rod import State
 from .status import SolverError, Status, explain
-from .step import Scene
+from .step import Scene, Step
+
+SEGMENTS, TRIES = 32, 32
+"""Of steps that adapt, whose product is the most tries that there may be in one frame."""
 
 
 @pytree
@@ -22,15 +26,21 @@ class Report:
         status: of the first failed step, else `Status.OK`.
         failed_at: s, start of the first failed step.
         steps: steps completed.
-        iterations: Newton iterations of them all.
+        iterations: Newton iterations of them all, tries included that were rejected.
+        factorings: Newton matrices that were factored for them.
         residual: largest scaled residual of a completed step; of the failed one, if any.
+        rejected: steps that were given up for shorter ones, if steps adapt.
+        next_length: s, of the step that is tried next, if steps adapt; 0 at the start.
     """
 
     status: Int[Array, ""]
     failed_at: Float[Array, ""]
     steps: Int[Array, ""]
     iterations: Int[Array, ""]
+    factorings: Int[Array, ""]
     residual: Float[Array, ""]
+    rejected: Int[Array, ""]
+    next_length: Float[Array, ""]
 
     @property
     def ok(self) -> bool:
@@ -50,21 +60,78 @@ class Report:
 def new_report() -> Report:
     """The report of a run that has not begun."""
     count = jnp.zeros((), jnp.int32)
-    return Report(count, jnp.array(jnp.nan), count, count, jnp.zeros(()))
+    nothing = jnp.zeros(())
+    return Report(count, jnp.array(jnp.nan), count, count, count, nothing, count, nothing)
 
 
-def _advance_and_report(scene: Scene, state: State, report: Report) -> tuple[State, Report]:
-    """One step. A failed one leaves the state as it was, for every later step too."""
-    new, info = scene.step(scene, state)
-    good = info.status == Status.OK
-    kept = jax.tree.map(lambda a, b: jnp.where(good, a, b), new, state)
-    residual = lax.stop_gradient(info.residual)
-    return kept, Report(
-        status=info.status,
-        failed_at=jnp.where(good, report.failed_at, lax.stop_gradient(state.time)),
-        steps=report.steps + good.astype(jnp.int32),
-        iterations=report.iterations + info.iterations,
-        residual=jnp.where(good, jnp.maximum(report.residual, residual), residual),
+@pytree
+class _Run:
+    """A run in the middle of a frame.
+
+    Attributes:
+        state: where it is.
+        report: how it went.
+        left: steps to the end of the frame, or s if steps adapt.
+    """
+
+    state: State
+    report: Report
+    left: Array
+
+
+def _fixed(scene: Scene, run: _Run) -> _Run:
+    """One step of the scene's length."""
+    step = scene.scheme(scene, run.state, scene.step_length)
+    good = step.info.status == Status.OK
+    return replace(_taken(run, step, good, step.info.status), left=run.left - 1)
+
+
+def _adaptive(scene: Scene, run: _Run, control: Control) -> _Run:
+    """One try of a step; what is left of the frame is divided into equal ones.
+
+    Derivatives are those of a run with the same lengths of steps: they do not depend on
+    how a length follows from the motion.
+    """
+    proposed = jnp.where(run.report.next_length > 0, run.report.next_length, scene.step_length)
+    count = jnp.maximum(jnp.ceil(run.left / lax.stop_gradient(proposed) - 1e-6), 1.0)
+    length = run.left / count
+    step = scene.scheme(scene, run.state, length)
+    excess = control.excess(lax.stop_gradient(step.error))
+    solved = step.info.status == Status.OK
+    good = solved & (excess <= 1.0)
+    factor = jnp.where(solved, control.factor(excess), AFTER_FAILURE)
+    shorter = length * jnp.minimum(factor, 1.0)
+    following = jnp.where(good & (factor >= 1.0), jnp.maximum(proposed, factor * length), shorter)
+    hopeless = (following < control.shortest) | (step.info.status == Status.CAPACITY)
+    reason = jnp.where(solved, Status.TOO_SHORT, step.info.status)
+    status = jnp.where(good | ~hopeless, Status.OK, reason)
+    new = _taken(run, step, good, status)
+    report = replace(
+        new.report,
+        rejected=run.report.rejected + (~good).astype(jnp.int32),
+        next_length=following,
+    )
+    left = jnp.where(good, jnp.where(count > 1.0, run.left - length, 0.0), run.left)
+    return replace(new, report=report, left=left)
+
+
+def _taken(run: _Run, step: Step, good: Array, status: Array) -> _Run:
+    """With the step taken if it is good. If not, the state stays as it was."""
+    report, residual = run.report, lax.stop_gradient(step.info.residual)
+    failed = status != Status.OK
+    worst = jnp.where(good, jnp.maximum(report.residual, residual), report.residual)
+    return replace(
+        run,
+        state=jax.tree.map(lambda a, b: jnp.where(good, a, b), step.state, run.state),
+        report=replace(
+            report,
+            status=status.astype(jnp.int32),
+            failed_at=jnp.where(failed, lax.stop_gradient(run.state.time), report.failed_at),
+            steps=report.steps + good.astype(jnp.int32),
+            iterations=report.iterations + step.info.iterations,
+            factorings=report.factorings + step.info.factorings,
+            residual=jnp.where(failed, residual, worst),
+        ),
     )
 
 
@@ -75,49 +142,64 @@ def rollout(
     steps_per_frame: int,
     report: Report | None = None,
 ) -> tuple[State, Report]:
-    """The states after every `steps_per_frame` steps, and how the steps went.
+    """The states at the ends of frames, and how the steps went.
 
     Differentiable in forward and reverse mode. In reverse mode only the states at the ends
     of about sqrt(steps) segments are kept, and one segment at a time is run again with its
-    states kept; Newton's iterations are never replayed a second time.
+    states kept; Newton's iterations are never replayed a second time. If steps adapt, the
+    derivatives are those at the sequence of lengths that was found.
 
     Args:
         scene: what to simulate.
         state: where to start.
         n_frames: number of frames, f.
-        steps_per_frame: steps between frames.
+        steps_per_frame: length of a frame, in steps of the scene's length.
         report: of the run that this one continues; a run that has failed stays where it is.
 
     Returns:
         The state at the end of every frame (a `State` whose leaves have a leading axis f) and
         a `Report`. After a failed step the state no longer changes.
     """
-    wanted = max(1, min(steps_per_frame, math.isqrt(n_frames * steps_per_frame)))
-    n_segments = math.ceil(steps_per_frame / wanted)
-    length = math.ceil(steps_per_frame / n_segments)
+    control = scene.control
+    if control is None:
+        wanted = max(1, min(steps_per_frame, math.isqrt(n_frames * steps_per_frame)))
+        n_segments = math.ceil(steps_per_frame / wanted)
+        length = math.ceil(steps_per_frame / n_segments)
+        whole = jnp.array(steps_per_frame, jnp.int32)
+        attempt = partial(_fixed, scene)
+    else:
+        n_segments, length = SEGMENTS, TRIES
+        whole = lax.stop_gradient(steps_per_frame * scene.step_length)
+        attempt = partial(_adaptive, scene, control=control)
+
+    def going(run: _Run) -> Array:
+        return (run.left > 0) & (run.report.status == Status.OK)
 
     @partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names("state"))
-    def step(carry, _):
-        state, report, left = carry
-        state, report = lax.cond(
-            (left > 0) & (report.status == Status.OK),
-            partial(_advance_and_report, scene),
-            lambda state, report: (state, report),
-            state,
-            report,
-        )
-        return (state, report, left - 1), None
+    def step(run, _):
+        return lax.cond(going(run), attempt, lambda run: run, run), None
 
     @jax.checkpoint
-    def segment(carry, _):
-        carry, _ = lax.scan(step, carry, None, length=length)
-        return carry, None
+    def steps(run):
+        return lax.scan(step, run, None, length=length)[0]
+
+    def segment(run, _):
+        if control is None:
+            return steps(run), None
+        return lax.cond(going(run), steps, lambda run: run, run), None
 
     def frame(carry, _):
         state, report = carry
-        left = jnp.array(steps_per_frame, jnp.int32)
-        (state, report, _), _ = lax.scan(segment, (state, report, left), None, length=n_segments)
-        return (state, report), state
+        run, _ = lax.scan(segment, _Run(state, report, whole), None, length=n_segments)
+        unfinished = going(run)
+        report = replace(
+            run.report,
+            status=jnp.where(unfinished, Status.TOO_MANY, run.report.status).astype(jnp.int32),
+            failed_at=jnp.where(
+                unfinished, lax.stop_gradient(run.state.time), run.report.failed_at
+            ),
+        )
+        return (run.state, report), run.state
 
     start = (state, new_report() if report is None else report)
     (_, report), states = lax.scan(frame, start, None, length=n_frames)

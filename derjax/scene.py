@@ -1,7 +1,7 @@
 """From a scene file to the terms that it names: the registry of physical ingredients."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .corrected import corrected
+from .control import Control
 from .motor import Motor
 from .neighbours import PENETRATION, pairs_apart
 from .newton import NewtonSettings
@@ -29,8 +29,11 @@ from .robots import (
 )
 from .rod import Rod, State, Topology, at_rest
 from .scenefile import InputError, SceneFile
+from .schemes.corrected import corrected
+from .schemes.euler import euler
+from .schemes.trbdf2 import trbdf2
 from .segments import distance
-from .step import Scene, advance
+from .step import Scene, Step
 from .terms.bend import Bend
 from .terms.contact import Contact
 from .terms.friction import Friction
@@ -46,6 +49,9 @@ from .terms.term import Term
 from .terms.twist import Twist
 
 Parameters = Mapping[str, Any]
+
+SHORTEST = 1e-6
+"""The shortest that steps that adapt may become, over the first."""
 
 
 def build(scene: SceneFile, parameters: Parameters | None = None) -> tuple[Scene, State]:
@@ -87,7 +93,8 @@ def _build(scene: SceneFile, p: dict[str, Array]) -> tuple[Scene, State]:
         motor=_motor(scene, p, rod.topology),
         newton=_newton(scene, p, rod),
         step_length=jnp.asarray(scene.time.step),
-        step=corrected if scene.contact_method == "spillmann_teschner" else advance,
+        scheme=_scheme(scene),
+        control=_control(scene, rod),
     )
     return built, state
 
@@ -239,6 +246,27 @@ def _mass(scene: SceneFile, p: dict[str, Array], rod: Rod) -> Float[Array, " d"]
         mass = mass.at[rod.topology.head.node].set(head)
     polar = 0.5 * p["rod_radius"] ** 2 * line_density * rod.rest_length
     return jnp.concatenate([jnp.repeat(mass, 3), polar])
+
+
+def _scheme(scene: SceneFile) -> Callable[[Scene, State, Array], Step]:
+    if scene.contact_method == "spillmann_teschner":
+        return corrected
+    return {"trbdf2": trbdf2, "euler": euler, "explicit": euler}[scene.time.scheme]
+
+
+def _control(scene: SceneFile, rod: Rod) -> Control | None:
+    """Errors are measured in the radius of a circle as long as a flagellum, and in rad."""
+    if scene.time.tolerance is None or scene.contact_method == "spillmann_teschner":
+        return None
+    topology = rod.topology
+    contour = jnp.sum(rod.rest_length) / scene.robot.count / (2 * jnp.pi)
+    position = np.arange(topology.n_dofs) < 3 * topology.n_nodes
+    return Control(
+        tolerance=jnp.asarray(scene.time.tolerance),
+        scale=jnp.where(position, contour, 1.0),
+        shortest=jnp.asarray(SHORTEST * scene.time.step),
+        order=1 if scene.time.scheme == "euler" else 2,
+    )
 
 
 def _motor(scene: SceneFile, p: dict[str, Array], topology: Topology) -> Motor:

@@ -260,14 +260,40 @@ def _is_whole(ratio: float) -> bool:
     return round(ratio) >= 1 and bool(np.isclose(ratio, round(ratio), rtol=1e-9, atol=1e-6))
 
 
-class Time(Table):
-    """[time] Step, end and interval of saved frames (s), and the scheme."""
+TOLERANCE = 5e-4
+"""Of steps that adapt, unless another one is given."""
 
-    step: Positive = 0.01
+
+class Time(Table):
+    """[time] Step, end and interval of saved frames (s), and the scheme.
+
+    With a `tolerance`, or with neither that nor a `step`, steps adapt to the motion: the
+    estimated error of each is at most that part of the radius of a circle as long as a flagellum.
+    `step` is then that of the start. The schemes are "trbdf2", of second order, "euler",
+    implicit and of first order, and "explicit", with the drag of the step before.
+    """
+
+    step: Positive = 0.05
     end: Positive = 20.0
     frame: Positive | None = None
-    scheme: Literal["implicit", "explicit"] = "implicit"
+    scheme: Literal["trbdf2", "euler", "explicit"] = "trbdf2"
+    tolerance: Annotated[Positive, Field(lt=1)] | None = None
     inertia: Switch = True
+
+    @model_validator(mode="before")
+    @classmethod
+    def _adapts(cls, given: Any) -> Any:
+        if not isinstance(given, Mapping) or given.keys() & {"step", "tolerance"}:
+            return given
+        if given.get("scheme") == "explicit":
+            raise ValueError("step: must be given for scheme = 'explicit'")
+        return {**given, "tolerance": TOLERANCE}
+
+    @model_validator(mode="after")
+    def _implicit(self) -> Self:
+        if self.tolerance is not None and self.scheme == "explicit":
+            raise ValueError("tolerance: steps of scheme = 'explicit' do not adapt")
+        return self
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
@@ -335,7 +361,7 @@ class SceneFile(Table):
     fluid: Fluid = Fluid()
     head: Head = Head()
     motor: Motor = Motor()
-    time: Time = Time()
+    time: Time = Time.model_validate({})
     contact: Contact = Contact()
     friction: Friction | None = None
     gravity: Gravity | None = None

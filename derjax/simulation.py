@@ -105,13 +105,15 @@ def simulate(options: Options) -> int:
     options.output.mkdir(parents=True, exist_ok=True)
 
     interrupted, saved = False, time.monotonic()
-    done = int(recording.report.steps)
+    frame = file.time.steps_per_frame * file.time.step
     with (
         interruptible("stopping after this frame; Ctrl-C again quits without saving") as stopping,
-        Progress(file.time.n_steps, file.time.step, done, options.quiet) as progress,
+        Progress(
+            file.time.end, "simulated s", frame * recording.n_frames, options.quiet
+        ) as progress,
     ):
         for _ in record(advance, recording, file.time.n_frames, with_more_contacts):
-            progress.update(int(recording.report.steps))
+            progress.update(frame * recording.n_frames)
             if stopping():
                 interrupted = recording.report.ok and recording.n_frames < file.time.n_frames
                 break
@@ -189,7 +191,9 @@ def _write_results(
         "time_s": float(dataset.time[-1]),
         **summaries.summarise(dataset, file),
         "steps": int(report.steps),
+        "rejected_steps": int(report.rejected),
         "newton_iterations": int(report.iterations),
+        "newton_matrices": int(report.factorings),
         "worst_residual": float(report.residual),
         "wall_time_s": recording.wall_time,
         "compile_time_s": recording.compile_time,

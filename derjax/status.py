@@ -13,6 +13,8 @@ class Status(enum.IntEnum):
     PENETRATION = 4
     TOO_FAST = 5
     CAPACITY = 6
+    TOO_SHORT = 7
+    TOO_MANY = 8
 
 
 class SolverError(RuntimeError):
@@ -26,6 +28,8 @@ _WHAT = {
     Status.PENETRATION: "two rods penetrated each other by more than 1 % of their diameter",
     Status.TOO_FAST: "a rod moved farther than the search for contacts looks in one step",
     Status.CAPACITY: "more pairs of edges came close than the list of contacts has places",
+    Status.TOO_SHORT: "no step was short enough to meet the tolerance: the motion is not smooth",
+    Status.TOO_MANY: "a frame needs more steps than a run may take, so short do they have to be",
 }
 
 _TRY = {
@@ -35,6 +39,8 @@ _TRY = {
     Status.PENETRATION: "a larger [contact] stiffness, or a smaller [time] step",
     Status.TOO_FAST: "a smaller [time] step, or a slower motor",
     Status.CAPACITY: "a larger [contact] capacity",
+    Status.TOO_SHORT: "a larger [time] tolerance; a rod may be snapping, or driven unevenly",
+    Status.TOO_MANY: "a shorter [time] frame, a larger [time] tolerance, or a slower motor",
 }
 
 

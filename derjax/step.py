@@ -1,4 +1,15 @@
-"""One step of time: gather the incremental potential, minimise it, carry the frames along."""
+"""What every scheme of integration in time is made of: intervals of implicit Euler.
+
+In an interval of length l that starts from an origin q~ and a velocity v~, the end q makes the
+incremental potential
+
+    P(q) = E(q) + l Phi((q - q~)/l; q_m) + |q - q~ - l v~|^2_M / (2 l^2) - f . q
+
+of the scene's terms stationary. With q~ and v~ those of the state this is a step of implicit
+Euler; the stages of the diagonally implicit Runge-Kutta methods have the same form, with an
+origin that takes in the stages before. Drag is linear in the velocity at a configuration q_m,
+which is that where the rod is expected to be.
+"""
 
 from collections.abc import Callable
 
@@ -7,62 +18,29 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+from .control import Control
 from .motor import Motor
 from .newton import NewtonInfo, NewtonSettings, equilibrium
-from .potential import gather
+from .potential import Dofs, gather
 from .pytree import pytree, replace, static
 from .rod import Rod, State, carry_frames
 from .status import Status
-from .terms.term import Interval, Term
+from .terms.term import Interval, Outlook, Term
 
 
-def advance(scene: "Scene", state: State) -> tuple[State, NewtonInfo]:
-    """The state one step later, differentiable in forward and reverse mode.
+@pytree
+class Step:
+    """A step that has been tried.
 
-    Finds q1 that makes the incremental potential
-
-        P(q1) = E(q1) + h Phi((q1 - q0)/h; q0) + |q1 - q0 - h v0|^2_M / (2 h^2) - f . q1
-
-    of the scene's terms stationary. A failed step returns its best iterate and a status.
+    Attributes:
+        state: at its end.
+        info: how the solver did.
+        error: (d,) m and rad, estimate of what the step adds to the error.
     """
-    h = scene.step_length
-    topology = scene.rod.topology
-    end = state.time + h
-    motor_angle = state.motor_angle
-    turned = jnp.zeros_like(motor_angle)
-    if scene.motor is not None:
-        turned = scene.motor.turned(state.time, end)
-        motor_angle = motor_angle + turned
-    interval = Interval(h, motor_angle)
-    potential = gather([t.contribution(scene.rod, state, interval) for t in scene.terms])
-    ahead = h * predicted_velocity(state)
-    if potential.guards:
-        ahead = potential.reach(state.q, ahead) * ahead
-    guess = state.q + ahead
-    if topology.spindles:
-        dofs = topology.edge_dofs(topology.spindles)
-        guess = guess.at[dofs].set(state.q[dofs] + turned, unique_indices=True)
-    free = None
-    if topology.clamped:
-        free = tuple(np.setdiff1d(np.arange(topology.n_dofs), topology.clamped).tolist())
-    q, info = equilibrium(potential, guess, scene.newton, free)
-    if potential.guards:
-        fault = potential.fault(lax.stop_gradient(q))
-        info = replace(info, status=jnp.where(info.status == Status.OK, fault, info.status))
-    new = carry_frames(scene.rod, replace(state, motor_angle=motor_angle), q)
-    velocity = (q - state.q) / h
-    change = velocity - state.velocity
-    return replace(new, velocity=velocity, velocity_change=change, time=end), info
 
-
-def predicted_velocity(state: State) -> Float[Array, " d"]:
-    """The velocity of the coming step, if it changes as much as it did in the last one.
-
-    Only where motion is smooth: after a jump, as at the start, velocity is taken as constant.
-    """
-    change, velocity = state.velocity_change, state.velocity
-    smooth = change @ change < 0.25 * velocity @ velocity
-    return velocity + jnp.where(smooth, change, 0.0)
+    state: State
+    info: NewtonInfo
+    error: Dofs
 
 
 @pytree
@@ -77,8 +55,9 @@ class Scene:
         terms: the physical ingredients.
         motor: what drives the natural twist of `rod.topology.motors`; None without motors.
         newton: when the solver stops.
-        step_length: time step, s.
-        step: how one step is taken.
+        step_length: s, of a step, or of the first one if steps adapt to the motion.
+        scheme: how one step of some length is taken.
+        control: how the length of steps adapts; None for steps of one length.
     """
 
     rod: Rod
@@ -86,4 +65,115 @@ class Scene:
     motor: Motor | None
     newton: NewtonSettings
     step_length: Float[Array, ""]
-    step: Callable[["Scene", State], tuple[State, NewtonInfo]] = static(default=advance)
+    scheme: Callable[["Scene", State, Array], Step] = static()
+    control: Control | None = None
+
+
+def expected_velocity(state: State, ahead: Array) -> Dofs:
+    """The velocity (m/s, rad/s) some time (s) ahead, if motion goes on as it did.
+
+    Only where it is smooth: after a jump, as at the start, velocity is taken as constant.
+    """
+    # Before the first step there is no mean, but there may be a velocity.
+    velocity = jnp.where(state.length > 0.0, state.mean_velocity, state.velocity)
+    later = 0.5 * state.length + ahead
+    first = later * state.mean_acceleration
+    second = 0.5 * later * (later + state.length) * state.jerk
+    first = jnp.where(first @ first < velocity @ velocity, first, 0.0)
+    second = jnp.where(second @ second < first @ first, second, 0.0)
+    return velocity + first + second
+
+
+def expected_move(state: State, ahead: Array) -> Dofs:
+    """How far (m, rad) the rod goes in some time (s), if motion goes on as it did."""
+    return ahead * expected_velocity(state, 0.5 * ahead)
+
+
+def prepare(scene: Scene, state: State, ahead: Array, length: Array) -> tuple[Term, ...]:
+    """The terms for an interval of a step of some length (s) from `state`.
+
+    Drag is that of the configuration some time (s) ahead.
+    """
+    configuration = state.q + expected_move(state, ahead)
+    outlook = Outlook(configuration, expected_move(state, length))
+    return tuple(term.prepared(scene.rod, state, outlook) for term in scene.terms)
+
+
+def turned(scene: Scene, state: State, length: Array) -> Float[Array, " k"]:
+    """Angle (rad) that the motors turn in the next `length` (s)."""
+    if scene.motor is None:
+        return jnp.zeros_like(state.motor_angle)
+    return scene.motor.turned(state.time, state.time + length)
+
+
+def solve(
+    scene: Scene,
+    terms: tuple[Term, ...],
+    state: State,
+    interval: Interval,
+    turn: Float[Array, " k"],
+    move: Dofs,
+) -> tuple[Dofs, NewtonInfo]:
+    """The end of an interval of the step that starts at `state`.
+
+    Differentiable in forward and reverse mode. A failure gives the best iterate and a status.
+
+    Args:
+        scene: whose rod and solver.
+        terms: prepared for the step.
+        state: at the start of the step.
+        interval: what to solve.
+        turn: rad, by which the motors have turned at its end.
+        move: (d,) m and rad, expected from the start of the step to the end of the interval.
+    """
+    topology = scene.rod.topology
+    potential = gather([t.contribution(scene.rod, state, interval) for t in terms])
+    if potential.guards:
+        move = potential.reach(state.q, move) * move
+    guess = state.q + move
+    if topology.spindles:
+        dofs = topology.edge_dofs(topology.spindles)
+        guess = guess.at[dofs].set(state.q[dofs] + turn, unique_indices=True)
+    free = None
+    if topology.clamped:
+        free = tuple(np.setdiff1d(np.arange(topology.n_dofs), topology.clamped).tolist())
+    q, info = equilibrium(potential, guess, scene.newton, free)
+    if potential.guards:
+        fault = potential.fault(lax.stop_gradient(q))
+        info = replace(info, status=jnp.where(info.status == Status.OK, fault, info.status))
+    return q, info
+
+
+def at_end(
+    scene: Scene,
+    state: State,
+    length: Array,
+    q: Dofs,
+    velocity: Dofs,
+    acceleration: Dofs,
+    turn: Float[Array, " k"],
+) -> State:
+    """The state after a step from `state` to `q`, with what is known of its end."""
+    new = carry_frames(scene.rod, replace(state, motor_angle=state.motor_angle + turn), q)
+    return replace(
+        new,
+        velocity=velocity,
+        acceleration=acceleration,
+        mean_velocity=(q - state.q) / length,
+        mean_acceleration=mean_acceleration(state, length, q),
+        jerk=jerk(state, length, q),
+        length=length,
+        time=state.time + length,
+    )
+
+
+def jerk(state: State, length: Array, q: Dofs) -> Dofs:
+    """d3q/dt3 (m/s^3 and rad/s^3), from a step to `q` and two of one length before it."""
+    change = mean_acceleration(state, length, q) - state.mean_acceleration
+    return change / (0.25 * length + 0.75 * state.length)
+
+
+def mean_acceleration(state: State, length: Array, q: Dofs) -> Dofs:
+    """From the middle of the last step to that of one to `q` (m/s^2 and rad/s^2)."""
+    change = (q - state.q) / length - state.mean_velocity
+    return 2.0 * change / (length + state.length)

@@ -8,9 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from derjax import Rod, State, Topology, at_rest, chain
+from derjax import Rod, Scene, State, Topology, at_rest, chain
+from derjax.newton import NewtonInfo
 from derjax.potential import Potential, gather
+from derjax.pytree import replace
 from derjax.rod import carry_frames
+from derjax.step import prepare
 from derjax.terms import Bend, Gravity, Interval, Stretch, Term, Twist
 
 EI = 1.0
@@ -74,6 +77,20 @@ def potential(
     return gather([term.contribution(rod, state, interval) for term in terms])
 
 
+def advance(scene: Scene, state: State) -> tuple[State, NewtonInfo]:
+    """One step of the scene's scheme and length."""
+    step = scene.scheme(scene, state, scene.step_length)
+    return step.state, step.info
+
+
+def acting(scene: Scene, state: State, kind: type) -> tuple[Term, ...]:
+    """The one term of some kind, as it acts in a step of implicit Euler from `state`."""
+    terms = tuple(term for term in scene.terms if isinstance(term, kind))
+    assert len(terms) == 1
+    h = scene.step_length
+    return prepare(replace(scene, terms=terms), state, 0.5 * h, h)
+
+
 @jax.jit
 def expand(rod: Rod, state: State, terms: tuple[Term, ...], q: Array) -> tuple[Array, Array, Array]:
     """Value, gradient and Hessian at `q` of the step that starts at `state`."""
@@ -118,6 +135,19 @@ def settled(rod: Rod, state: State, terms: tuple[Term, ...], held: tuple[int, ..
         if np.abs(step).max() < 1e-10:
             return carry(rod, state, q)
     raise AssertionError(f"no equilibrium: the last step was {np.abs(step).max():.1e}")
+
+
+def at_speed(state: State, velocity: Array) -> State:
+    """The state with some velocity (m/s, rad/s) that it is expected to keep."""
+    still = jnp.zeros_like(velocity)
+    return replace(
+        state,
+        velocity=velocity,
+        acceleration=still,
+        mean_velocity=velocity,
+        mean_acceleration=still,
+        jerk=still,
+    )
 
 
 def order(sizes: list[float], errors: list[float]) -> float:

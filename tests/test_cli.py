@@ -21,6 +21,7 @@ edge_length = 0.03
 [fluid]
 hydrodynamics = "rft"
 [time]
+step = 0.01
 end = 0.5
 frame = 0.05
 """
@@ -51,11 +52,11 @@ def summary_of(directory: Path) -> dict:
     return json.loads((directory / "summary.json").read_text())
 
 
-def interrupt_after(monkeypatch: pytest.MonkeyPatch, steps: int) -> None:
-    """Ctrl-C when so many steps have been done."""
+def interrupt_after(monkeypatch: pytest.MonkeyPatch, time: float) -> None:
+    """Ctrl-C when the simulation has come to some time (s)."""
 
-    def update(self: Progress, done: int) -> None:
-        if done == steps:
+    def update(self: Progress, done: float) -> None:
+        if done == pytest.approx(time):
             os.kill(os.getpid(), signal.SIGINT)
 
     monkeypatch.setattr(Progress, "update", update)
@@ -139,7 +140,7 @@ def test_interrupted_and_resumed_is_the_same_bit_by_bit(scene, finished, monkeyp
     out = scene.parent / "out"
     argv = ["simulate", str(scene), "-o", str(out), "--no-figures"]
     with monkeypatch.context() as patch:
-        interrupt_after(patch, 20)
+        interrupt_after(patch, 0.2)
         assert main(argv) == 130
     said = capsys.readouterr().err
     resume = f"derjax simulate {scene} -o {out} --resume --no-figures"
@@ -162,7 +163,7 @@ def test_interrupted_and_resumed_is_the_same_bit_by_bit(scene, finished, monkeyp
 
     scene.write_text(SCENE + "# a remark changes nothing\n")
     with monkeypatch.context() as patch:
-        interrupt_after(patch, 35)
+        interrupt_after(patch, 0.35)
         assert main(resume.split()[1:]) == 130
     assert main(resume.split()[1:]) == 0
     assert {path.name for path in out.iterdir()} == {"trajectory.nc", "summary.json"}
@@ -176,8 +177,8 @@ def test_a_killed_run_resumes_from_its_last_checkpoint(scene, finished, monkeypa
     out = scene.parent / "out"
     argv = ["simulate", str(scene), "-o", str(out), "--no-figures"]
 
-    def update(self: Progress, done: int) -> None:
-        if done == 30:
+    def update(self: Progress, done: float) -> None:
+        if done == pytest.approx(0.3):
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:

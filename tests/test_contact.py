@@ -11,13 +11,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import elasticity, expand, held_dofs, order, rest, rotation
+from helpers import advance, elasticity, expand, held_dofs, order, rest, rotation
 
-from derjax import Scene, State, Topology, advance, positions, rollout
+from derjax import Scene, State, Topology, positions, rollout
 from derjax.neighbours import Neighbours, pairs_apart, search
 from derjax.newton import NewtonSettings
-from derjax.potential import Pairs
+from derjax.potential import Pairs, gather
 from derjax.pytree import replace
+from derjax.schemes.euler import euler
 from derjax.segments import distance
 from derjax.status import Status
 from derjax.terms import Gravity, Inertia, Interval, Term
@@ -199,7 +200,7 @@ def scene_of(
     contact = Contact(jnp.asarray(stiffness), jnp.asarray(DIAMETER / 2), APART, capacity)
     terms = (*elasticity(rod, ea, ei, ei), *more, contact)
     settings = NewtonSettings(jnp.asarray(1e-8), jnp.ones(topology.n_dofs))
-    return Scene(rod, terms, None, settings, jnp.asarray(step)), state
+    return Scene(rod, terms, None, settings, jnp.asarray(step), euler), state
 
 
 def free_rods(nodes: np.ndarray, load: float = 0.0, **numbers: Any) -> tuple[Scene, State]:
@@ -481,7 +482,7 @@ def sliding_energy(shifts: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
 
     def at(shift):
         q = state.q + shift * along
-        return pairs.value(q), pairs.gradient(q) @ along, along @ pairs.hessian(q) @ along
+        return pairs.value(q), pairs.gradient(q) @ along, along @ gather([pairs]).hessian(q) @ along
 
     return jax.vmap(at)(shifts)
 

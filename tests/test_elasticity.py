@@ -8,6 +8,7 @@ from helpers import (
     EA,
     EI,
     GJ,
+    advance,
     cantilever,
     carry,
     elasticity,
@@ -24,7 +25,7 @@ from helpers import (
 from scipy.linalg import null_space
 from scipy.optimize import brentq
 
-from derjax import Rod, Scene, State, Topology, advance, chain, positions
+from derjax import Rod, Scene, State, Topology, chain, positions
 from derjax.newton import NewtonSettings
 from derjax.pytree import replace
 from derjax.robots import helix
@@ -35,6 +36,7 @@ from derjax.rod import (
     material_directors,
     tangents,
 )
+from derjax.schemes.euler import euler
 from derjax.terms import Gravity
 
 SIZES = (12, 24)
@@ -202,7 +204,7 @@ def test_a_step_without_dissipation_lands_on_the_equilibrium():
     topology = chain(13, clamped=held)
     ones = jnp.ones(topology.n_dofs)
     settings = NewtonSettings(tolerance=jnp.asarray(1e-8), force_scale=ones)
-    scene = Scene(replace(rod, topology=topology), terms, None, settings, jnp.ones(()))
+    scene = Scene(replace(rod, topology=topology), terms, None, settings, jnp.ones(()), euler)
     new, info = advance(scene, state)
     assert info.status == 0
     np.testing.assert_allclose(new.q, settled(rod, state, terms, held).q, atol=1e-9)

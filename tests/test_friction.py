@@ -6,12 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import elasticity, held_dofs, rest, rotation
+from helpers import advance, at_speed, elasticity, held_dofs, rest, rotation
 
-from derjax import Scene, State, Topology, advance, positions, rollout
+from derjax import Scene, State, Topology, positions, rollout
 from derjax.newton import NewtonSettings
 from derjax.pytree import Indices, replace
 from derjax.rod import tangents
+from derjax.schemes.euler import euler
 from derjax.status import Status
 from derjax.terms import Contact, Friction, Gravity, Inertia, Interval, Stretch
 from derjax.terms.contact import RAMP, SOFTNESS
@@ -178,7 +179,7 @@ def on_a_slope(tangent: float, above: float = 0.0) -> tuple[Scene, State]:
         Friction(contact, jnp.asarray(MU), jnp.asarray(SLIP_SPEED)),
     )
     settings = NewtonSettings(jnp.asarray(1e-8), jnp.ones(RAILS.n_dofs))
-    return Scene(rod, terms, None, settings, jnp.asarray(STEP)), state
+    return Scene(rod, terms, None, settings, jnp.asarray(STEP), euler), state
 
 
 def with_friction(scene: Scene, coefficient: Any) -> Scene:
@@ -370,12 +371,12 @@ def pulled(nodes: np.ndarray, mu: float, ei: float, strides: np.ndarray) -> dict
         Friction(contact, jnp.asarray(mu), jnp.asarray(slip_speed)),
     )
     settings = NewtonSettings(jnp.asarray(1e-8), jnp.ones(CAPSTAN.n_dofs))
-    scene = Scene(rod, terms, None, settings, jnp.ones(()))
+    scene = Scene(rod, terms, None, settings, jnp.ones(()), euler)
     torque, push = [], []
     x, tension = nodes[FIRST:], np.zeros(SOFT)
     for stride in strides:
         velocity = state.velocity.at[3 * N_NODES - 3 : 3 * N_NODES].set(stride * ahead)
-        state, info = step(scene, replace(state, velocity=velocity, velocity_change=0 * velocity))
+        state, info = step(scene, at_speed(state, velocity))
         assert info.status == Status.OK, Status(int(info.status))
         x = np.asarray(positions(CAPSTAN, state.q))[FIRST:]
         length = np.linalg.norm(np.diff(x, axis=0), axis=1)

@@ -7,6 +7,7 @@ import pytest
 
 import derjax
 from derjax.scenefile import SceneFile
+from derjax.schemes.euler import euler
 
 NAMES = ("C_t", "C_r", "viscosity", "youngs_modulus", "pitch", "helix_radius")
 N_FRAMES, STEPS = 10, 20
@@ -72,7 +73,7 @@ def spring(weights: jax.Array) -> jax.Array:
         Gravity(jnp.full(4, 0.01), jnp.array([0.5, 0.2, -1.0])),
     )
     settings = NewtonSettings(jnp.array(1e-12), jnp.ones(topology.n_dofs))
-    scene = derjax.Scene(rod, terms, None, settings, jnp.array(0.05))
+    scene = derjax.Scene(rod, terms, None, settings, jnp.array(0.05), euler)
     states, _ = derjax.rollout(scene, state, 1, 3)
     return jnp.sum(states.q[-1] ** 2)
 

@@ -11,8 +11,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import pytest
+from helpers import advance
 
-from derjax import Scene, SceneFile, State, advance, build, rollout
+from derjax import Scene, SceneFile, State, build, rollout
 from derjax.pytree import replace
 from derjax.terms import (
     Bend,
@@ -96,19 +97,19 @@ def shapes(found: list[Any]) -> set[tuple[int, ...]]:
 
 
 def loops(found: list[Any]) -> dict[str, int]:
-    """How many while loops are Newton iterations, and how many shifts of a Cholesky factor.
+    """How many while loops there are of each kind.
 
-    A Newton iteration has the factorisation in a branch that is taken after an accepted step;
-    shifting a matrix until it is positive definite has no branch.
+    Newton's iteration makes a matrix and has loops within: shifting the matrix until it has a
+    Cholesky factor, and the steps that are taken with the factor.
     """
     bodies = [
         primitives(list(equations(e.params["body_jaxpr"].jaxpr)))
         for e in found
         if e.primitive.name == "while"
     ]
-    assert all(body["cond"] or body["cholesky"] for body in bodies), "a loop of another kind"
-    newton = sum(body["cond"] > 0 for body in bodies)
-    return {"newton": newton, "shift": len(bodies) - newton}
+    newton = sum(body["while"] > 0 for body in bodies)
+    shift = sum(body["cholesky"] > 0 and not body["while"] for body in bodies)
+    return {"newton": newton, "shift": shift, "steps": len(bodies) - newton - shift}
 
 
 @pytest.fixture(scope="module")
@@ -175,7 +176,7 @@ def test_with_stokeslets_there_is_one_flow_problem(steps, name):
         e
         for e in steps[name]
         if e.primitive.name == "while"
-        and "cond" in primitives(list(equations(e.params["body_jaxpr"].jaxpr)))
+        and "while" in primitives(list(equations(e.params["body_jaxpr"].jaxpr)))
     )
     assert "atanh" not in primitives(list(equations(newton.params["body_jaxpr"].jaxpr)))
 
@@ -197,7 +198,7 @@ def test_resistive_drag_is_local(steps):
 @pytest.mark.parametrize("name", SCENES)
 def test_newton_stands_once_in_the_program_of_a_step(steps, name):
     symmetric = name != "collocation"
-    assert loops(steps[name]) == {"newton": 1, "shift": int(symmetric)}
+    assert loops(steps[name]) == {"newton": 1, "shift": int(symmetric), "steps": 1}
     assert primitives(steps[name])["cholesky"] == 2 * symmetric
 
 
@@ -215,7 +216,7 @@ def test_forward_mode_does_not_iterate_again():
     """The tangent of a step is a solve with one more factor, not another Newton iteration."""
     scene, state = example("least")
     pushed = program(lambda scene: jax.jvp(lambda s: total(s, state), (scene,), (scene,)), scene)
-    assert loops(pushed) == {"newton": 1, "shift": 2}
+    assert loops(pushed) == {"newton": 1, "shift": 2, "steps": 1}
 
 
 def test_reverse_mode_runs_newton_twice_and_no_more():

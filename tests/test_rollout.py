@@ -12,6 +12,7 @@ from derjax.newton import NewtonSettings
 from derjax.pytree import replace
 from derjax.rollout import new_report
 from derjax.scenefile import SceneFile
+from derjax.schemes.euler import euler
 from derjax.terms import Gravity, ResistiveDrag, Stretch
 
 _rollout = jax.jit(derjax.rollout, static_argnums=(2, 3))
@@ -29,7 +30,7 @@ def falling_rod(pull: jax.Array | float = 1.0) -> tuple[derjax.Scene, derjax.Sta
     # Nothing resists the angles of this rod: hold them.
     rod = replace(rod, topology=replace(topology, clamped=(9, 10)))
     settings = NewtonSettings(jnp.array(1e-10), jnp.full(topology.n_dofs, 1e-3))
-    return derjax.Scene(rod, terms, None, settings, jnp.array(0.01)), state
+    return derjax.Scene(rod, terms, None, settings, jnp.array(0.01), euler), state
 
 
 def test_frames_do_not_depend_on_how_steps_are_grouped():
@@ -83,6 +84,7 @@ SWIMMER = SceneFile.model_validate(
         "robot": {"edge_length": 0.03},
         "fluid": {"hydrodynamics": "rft"},
         "motor": {"rpm": 600.0},
+        "time": {"step": 0.01, "scheme": "euler"},
         "solver": {"max_iterations": 2},
     }
 )

@@ -37,7 +37,7 @@ def test_integers_will_do(tmp_path):
     scene = load_scene(scene_with(tmp_path, "[fluid]\nviscosity = 2\n[time]\nend = 3\n"))
     assert scene.fluid.viscosity == 2.0
     assert isinstance(scene.fluid.viscosity, float)
-    assert scene.time.n_steps == 300
+    assert scene.time.n_steps == 60
 
 
 def test_every_parameter_has_a_unit():

@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import potential
+from helpers import acting, advance, potential
 
 from benchmarks.rigid import rigid_motions
 from benchmarks.rigid_limit import free_motion
-from derjax import Scene, SceneFile, State, advance, build, positions, rollout
+from derjax import Scene, SceneFile, State, build, positions, rollout
 from derjax.pytree import replace
 from derjax.rod import angles
 from derjax.terms import Bend, HeadDrag, StokesletSegments, Twist
@@ -44,7 +44,7 @@ def swim(modulus: float, step: float) -> Moment:
             "robot": {"edge_length": 12e-3},
             "material": {"youngs_modulus": modulus},
             "motor": {"rpm": RPM},
-            "time": {"step": step, "end": 50 * step, "inertia": False},
+            "time": {"step": step, "end": 50 * step, "scheme": "euler", "inertia": False},
             "solver": {"tolerance": 1e-12},
         }
     )
@@ -52,7 +52,7 @@ def swim(modulus: float, step: float) -> Moment:
     before, after, report, info = run_and_step(scene, state)
     report.raise_if_failed()
     assert info.status == 0
-    return Moment(file, scene, before, before.q + step * after.velocity, after.velocity)
+    return Moment(file, scene, before, before.q + step * after.mean_velocity, after.mean_velocity)
 
 
 @pytest.fixture(scope="module")
@@ -74,9 +74,8 @@ def gradient_of(rod, state, terms, step, q):
 
 def drag_on(moment: Moment, kind: type) -> jax.Array:
     """Force (N) of one drag on the nodes, and torque (N m) on the edges, during the step."""
-    terms = tuple(term for term in moment.scene.terms if isinstance(term, kind))
-    assert len(terms) == 1
     scene, state = moment.scene, moment.state
+    terms = acting(scene, state, kind)
     return -gradient_of(scene.rod, state, terms, scene.step_length, moment.q)
 
 
@@ -96,12 +95,12 @@ def test_thrust_is_the_drag_of_the_head(soft):
     fluid = positions(topology, drag_on(soft, StokesletSegments))
     speed = positions(topology, soft.velocity)[0]
     stokes = 6 * np.pi * soft.file.fluid.viscosity * soft.file.robot.head_radius
-    size = float(jnp.linalg.norm(head[0]))
+    push = jnp.sum(head, axis=0)
+    size = float(jnp.linalg.norm(push))
     assert size > 1e-4  # N
-    np.testing.assert_allclose(head[0], -stokes * soft.file.head.C_t * speed, atol=1e-12 * size)
-    np.testing.assert_allclose(head[1:], 0.0, atol=1e-15 * size)
+    np.testing.assert_allclose(push, -stokes * soft.file.head.C_t * speed, atol=1e-12 * size)
     # inertialess: nothing is left over
-    np.testing.assert_allclose(jnp.sum(fluid, axis=0), -head[0], atol=1e-8 * size)
+    np.testing.assert_allclose(jnp.sum(fluid, axis=0), -push, atol=1e-8 * size)
 
 
 def test_efficiency_is_a_ratio_of_speeds(soft):
@@ -109,13 +108,14 @@ def test_efficiency_is_a_ratio_of_speeds(soft):
     topology, robot = soft.scene.rod.topology, soft.file.robot
     thrust = positions(topology, drag_on(soft, StokesletSegments)).sum(axis=0)
     velocity = positions(topology, soft.velocity)[0]
+    # But for the little by which the head turns as its axis goes round in a step.
     spin = float(angles(topology, soft.velocity)[0])
     torque = -torque_on_head(soft)  # what the motor exerts on the flagellum
     efficiency = thrust * robot.head_radius / torque
     ratio = soft.file.head.C_t / soft.file.head.C_r
     expected = 0.75 * ratio * velocity / (robot.head_radius * -spin)
     assert float(jnp.abs(expected).max()) > 0.1
-    np.testing.assert_allclose(efficiency, expected, rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(efficiency, expected, rtol=5e-6, atol=1e-7)
 
 
 def test_head_and_flagellum_turn_against_each_other_at_the_rate_of_the_motor(stiff):

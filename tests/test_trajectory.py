@@ -182,15 +182,15 @@ class Terminal(io.StringIO):
 
 def test_progress():
     terminal = Terminal()
-    with Progress(200, 0.01, stream=terminal) as progress:
-        progress.update(100)
-    assert "t = 1 s" in terminal.getvalue()
+    with Progress(2.0, "simulated s", stream=terminal) as progress:
+        progress.update(1.0)
+    assert "1 of 2 simulated s" in terminal.getvalue()
     elsewhere = io.StringIO()
-    with Progress(200, 0.01, done=50, stream=elsewhere) as progress:
+    with Progress(200, "frames", done=50, stream=elsewhere) as progress:
         progress.update(100)
-        assert progress.line(100, 2.0) == "t = 1 of 2 s (50 %), 25 steps/s, 4 s left"
+        assert progress.line(100, 2.0) == "100 of 200 frames (50 %), 25 frames/s, 4 s left"
     assert elsewhere.getvalue() == ""
-    with Progress(200, 0.01, quiet=True, stream=terminal) as progress:
+    with Progress(200, "frames", quiet=True, stream=terminal) as progress:
         before = terminal.getvalue()
         progress.update(100)
     assert terminal.getvalue() == before

@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
             write_html(film, path)
         else:
             write = animation.write_gif if name == "gif" else animation.write_mp4
-            with Progress(film.n_frames, film.frame_length, quiet=args.quiet) as progress:
+            with Progress(film.n_frames, "frames", quiet=args.quiet) as progress:
                 write(film, path, progress.update)
         if not args.quiet:
             length = film.n_frames * film.frame_length

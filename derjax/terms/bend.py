@@ -7,7 +7,7 @@ from ..hinge import HingePotential, hinge_frames
 from ..potential import Elements
 from ..pytree import pytree
 from ..rod import Rod, State
-from .term import Interval
+from .term import Interval, Term
 
 
 def energy(kappa: Float[Array, " 2"], twist: Array, data: tuple[Array, Array, Array]) -> Array:
@@ -17,7 +17,7 @@ def energy(kappa: Float[Array, " 2"], twist: Array, data: tuple[Array, Array, Ar
 
 
 @pytree
-class Bend:
+class Bend(Term):
     """`E = sum over hinges of 1/2 EI |kappa - natural_curvature|^2 / l`.
 
     Attributes:

@@ -19,11 +19,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..neighbours import Neighbours, search
-from ..potential import Pairs
+from ..potential import Dofs, Pairs
 from ..pytree import Indices, pytree, replace, static
 from ..rod import Rod, State
 from ..segments import Near, barrier_curvature, near
-from .term import Interval
+from .term import Interval, Outlook, Term
 
 SOFTNESS = 0.05
 """Of the distance, in diameters: it raises distances by less than 0.25 % of a diameter."""
@@ -104,7 +104,7 @@ class Repulsion:
 
 
 @pytree
-class Contact:
+class Contact(Term):
     """`E = sum over pairs of edges of E(2 r_0 - d)`: rods do not pass through each other.
 
     Attributes:
@@ -113,16 +113,20 @@ class Contact:
         pairs: (p, 2) the edges that may touch.
         capacity: how many of these may come close at one time. If more do, the step fails
             with `Status.CAPACITY`.
+        close: those that may touch during the step that is being taken, once they are known.
     """
 
     stiffness: Float[Array, ""]
     radius: Float[Array, ""]
     pairs: Indices = static()
     capacity: int = static()
+    close: Neighbours | None = None
 
-    def neighbours(self, rod: Rod, state: State, interval: Interval) -> Neighbours:
-        """The pairs that may touch during a step."""
-        move = interval.length * state.velocity
+    def prepared(self, rod: Rod, state: State, outlook: Outlook) -> "Contact":
+        return replace(self, close=self.neighbours(rod, state, outlook.move))
+
+    def neighbours(self, rod: Rod, state: State, move: Dofs) -> Neighbours:
+        """The pairs that may touch during a step in which the rod is to go by `move` (m)."""
         return search(rod, state, move, self.pairs, 2.0 * self.radius, self.capacity)
 
     def enlarged(self) -> "Contact":
@@ -138,6 +142,8 @@ class Contact:
         )
 
     def contribution(self, rod: Rod, state: State, interval: Interval) -> Pairs:
-        close = self.neighbours(rod, state, interval)
+        close = self.close
+        if close is None:
+            close = self.neighbours(rod, state, interval.length * state.velocity)
         dofs = (3 * close.nodes[:, :, None] + jnp.arange(3)).reshape(-1, 12)
         return Pairs(dofs, close.taken, Repulsion(), self.touch, close)

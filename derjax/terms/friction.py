@@ -16,14 +16,14 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ..geometry import dot, unit
 from ..potential import Pairs
 from ..pytree import pytree, replace
 from ..rod import Rod, State
 from .contact import Contact, Touch, force, meeting, weights
-from .term import Interval
+from .term import Interval, Outlook, Term
 
 
 def slip(
@@ -90,7 +90,7 @@ class Rubbing:
 
 
 @pytree
-class Friction:
+class Friction(Term):
     """`h Phi = sum over touching pairs of mu_f N (sqrt(|u|^2 + (h v_s)^2) - h v_s)`.
 
     Attributes:
@@ -107,8 +107,8 @@ class Friction:
         """With more places in the list of contacts."""
         return replace(self, contact=self.contact.enlarged())
 
-    def contribution(self, rod: Rod, state: State, interval: Interval) -> Pairs:
-        close = self.contact.neighbours(rod, state, interval)
+    def prepared(self, rod: Rod, state: State, outlook: Outlook) -> "Rubbed":
+        close = self.contact.neighbours(rod, state, outlook.move)
         positions = (3 * close.nodes[:, :, None] + jnp.arange(3)).reshape(-1, 12)
         dofs = jnp.concatenate([positions, 3 * rod.topology.n_nodes + close.edges], axis=1)
         touch = self.contact.touch
@@ -118,10 +118,37 @@ class Friction:
             lambda: jax.vmap(_pressed)(state.q[positions], touch),
             lambda: (jnp.zeros((len(dofs), 3, 14)), jnp.zeros(len(dofs))),
         )
+        strength = self.coefficient * normal_force
+        return Rubbed(dofs, close.taken, matrix, strength, self.slip_speed)
+
+    def contribution(self, rod: Rod, state: State, interval: Interval) -> Pairs:
+        onward = Outlook(state.q, interval.length * state.velocity)
+        return self.prepared(rod, state, onward).contribution(rod, state, interval)
+
+
+@pytree
+class Rubbed(Term):
+    """Friction with the surfaces and normal forces of one step.
+
+    Attributes:
+        dofs: (k, 14) degrees of freedom of each pair.
+        taken: (k,) which places of the list are in use.
+        slip: (k, 3, 14) m per displacement.
+        strength: (k,) N, mu_f N.
+        slip_speed: v_s, m/s.
+    """
+
+    dofs: Int[Array, "k 14"]
+    taken: Bool[Array, " k"]
+    slip: Float[Array, "k 3 14"]
+    strength: Float[Array, " k"]
+    slip_speed: Float[Array, ""]
+
+    def contribution(self, rod: Rod, state: State, interval: Interval) -> Pairs:
         data = Sliding(
-            slip=matrix,
-            old=state.q[dofs],
-            strength=self.coefficient * normal_force,
-            smallest=jnp.broadcast_to(self.slip_speed * interval.length, len(dofs)),
+            slip=self.slip,
+            old=interval.origin_from(state)[self.dofs],
+            strength=self.strength,
+            smallest=jnp.broadcast_to(self.slip_speed * interval.length, len(self.dofs)),
         )
-        return Pairs(dofs, close.taken, Rubbing(), data)
+        return Pairs(self.dofs, self.taken, Rubbing(), data)

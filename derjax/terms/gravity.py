@@ -6,11 +6,11 @@ from jaxtyping import Array, Float
 from ..potential import Load
 from ..pytree import pytree
 from ..rod import Rod, State
-from .term import Interval
+from .term import Interval, Term
 
 
 @pytree
-class Gravity:
+class Gravity(Term):
     """`E = - sum over nodes of m g . x`, with m the mass less that of the displaced fluid.
 
     Attributes:

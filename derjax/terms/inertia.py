@@ -5,12 +5,12 @@ from jaxtyping import Array, Float
 from ..potential import Diagonal
 from ..pytree import pytree
 from ..rod import Rod, State
-from .term import Interval
+from .term import Interval, Term
 
 
 @pytree
-class Inertia:
-    """`1/(2 h^2) |q1 - q0 - h v0|^2_M`, whose gradient is the inertia of implicit Euler.
+class Inertia(Term):
+    """`1/(2 l^2) |q - origin - l velocity|^2_M`: the inertia of an interval of length l.
 
     Attributes:
         mass: (d,) kg for positions, kg m^2 for angles.
@@ -19,5 +19,6 @@ class Inertia:
     mass: Float[Array, " d"]
 
     def contribution(self, rod: Rod, state: State, interval: Interval) -> Diagonal:
-        h = interval.length
-        return Diagonal(weight=self.mass / h**2, origin=state.q + h * state.velocity)
+        length, origin = interval.length, interval.origin_from(state)
+        ahead = origin + length * interval.velocity_from(state)
+        return Diagonal(weight=self.mass / length**2, origin=ahead)

@@ -3,13 +3,13 @@
 import jax.numpy as jnp
 
 from ..potential import Load
-from ..pytree import pytree, replace
+from ..pytree import pytree
 from ..rod import Rod, State
-from .term import Interval, Term
+from .term import Interval, Outlook, Term
 
 
 @pytree
-class Lagged:
+class Lagged(Term):
     """A dissipation whose force is that of the positions and velocities at the start.
 
     The force -dPhi/dv at the old velocity is the gradient of the implicit contribution at
@@ -18,7 +18,10 @@ class Lagged:
 
     drag: Term
 
+    def prepared(self, rod: Rod, state: State, outlook: Outlook) -> "Lagged":
+        still = Outlook(configuration=state.q, move=jnp.zeros_like(state.q))
+        return Lagged(self.drag.prepared(rod, state, still))
+
     def contribution(self, rod: Rod, state: State, interval: Interval) -> Load:
-        still = replace(state, velocity=jnp.zeros_like(state.velocity))  # no prediction
-        drag = self.drag.contribution(rod, still, interval)
+        drag = self.drag.contribution(rod, state, interval)
         return Load(-drag.gradient(state.q + interval.length * state.velocity))

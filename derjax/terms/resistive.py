@@ -6,9 +6,9 @@ from jaxtyping import Array, Float
 
 from ..geometry import dot, unit
 from ..potential import Autodiff, Elements
-from ..pytree import Indices, pytree
+from ..pytree import Indices, pytree, replace
 from ..rod import Rod, State, positions
-from .term import Interval
+from .term import Interval, Outlook, Term
 
 
 def gray_hancock(
@@ -44,22 +44,26 @@ def dissipation(local: Float[Array, " 3"], data: tuple[Array, Array, Array, Arra
 
 
 @pytree
-class ResistiveDrag:
+class ResistiveDrag(Term):
     """`Phi = sum over nodes of l/2 v . (zeta_par t t + zeta_perp (1 - t t)) v`.
-
-    Tangents are taken at the predicted middle of the step.
 
     Attributes:
         parallel: drag per length along the rod, Pa s.
         normal: drag per length across the rod, Pa s.
+        configuration: (d,) m and rad, where tangents are taken; None for the start of the step.
     """
 
     parallel: Float[Array, ""]
     normal: Float[Array, ""]
+    configuration: Float[Array, " d"] | None = None
+
+    def prepared(self, rod: Rod, state: State, outlook: Outlook) -> "ResistiveDrag":
+        return replace(self, configuration=outlook.configuration)
 
     def contribution(self, rod: Rod, state: State, interval: Interval) -> Elements:
         topology = rod.topology
-        x = positions(topology, interval.middle(state))
+        q = state.q if self.configuration is None else self.configuration
+        x = positions(topology, q)
         nodes, tangent, length = [], [], []
         for path in topology.filaments:
             edge = x[np.array(path[1:])] - x[np.array(path[:-1])]
@@ -73,7 +77,7 @@ class ResistiveDrag:
         dofs = topology.node_dofs(nodes)
         weight = jnp.concatenate(length)
         data = (
-            state.q[dofs],
+            interval.origin_from(state)[dofs],
             jnp.concatenate(tangent),
             self.parallel * weight,
             self.normal * weight,

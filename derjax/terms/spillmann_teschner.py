@@ -19,11 +19,11 @@ from ..potential import Dofs, Load
 from ..pytree import Indices, pytree, static
 from ..rod import Rod, State, positions
 from ..segments import between, closest
-from .term import Interval
+from .term import Interval, Term
 
 
 @pytree
-class SpillmannTeschner:
+class SpillmannTeschner(Term):
     """Constant forces on touching rods, corrected try by try (see `corrected`).
 
     Attributes:
@@ -43,7 +43,7 @@ class SpillmannTeschner:
     def contribution(self, rod: Rod, state: State, interval: Interval) -> Load:
         return Load(self.force)
 
-    def correction(self, rod: Rod, q: Dofs, interval: Interval) -> tuple[Dofs, Array]:
+    def correction(self, rod: Rod, q: Dofs, length: Array) -> tuple[Dofs, Array]:
         """What to add to the forces after a try that ended at `q`; whether anything overlaps."""
         nodes = rod.topology.edge_nodes[self.pairs.array].reshape(-1, 4)
         pair = positions(rod.topology, q)[nodes]
@@ -52,6 +52,6 @@ class SpillmannTeschner:
         d = jnp.maximum(jnp.sqrt(jnp.sum(gap * gap, axis=1)), 1e-6 * self.radius)
         overlap = jnp.maximum(2.0 * self.radius - d, 0.0)
         weight = jnp.stack([1.0 - s, s, t - 1.0, -t], axis=1)
-        push = weight * self.mass[nodes] * (overlap / (2.0 * d * interval.length**2))[:, None]
+        push = weight * self.mass[nodes] * (overlap / (2.0 * d * length**2))[:, None]
         force = jnp.zeros_like(q).at[np.asarray(rod.topology.node_dofs(nodes))]
         return force.add(push[:, :, None] * gap[:, None, :]), jnp.any(overlap > 0.0)

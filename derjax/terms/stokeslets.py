@@ -10,7 +10,6 @@ R(a)^2 = |x0 + a v|^2 + eps^2 and the moments T_mq = int_0^1 a^m R^-q da,
     M1 = (T01 + eps^2 T03) I + T03 x0 x0 + T13 (x0 v + v x0) + T23 v v - M2.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -20,9 +19,9 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ..potential import Quadratic
-from ..pytree import Indices, pytree, static
+from ..pytree import Indices, pytree, replace, static
 from ..rod import Rod, State, positions
-from .term import Interval
+from .term import Interval, Outlook, Term
 
 
 class Moments(NamedTuple):
@@ -118,7 +117,7 @@ def mobility(
 
 
 @pytree
-class StokesletSegments:
+class StokesletSegments(Term):
     """`Phi = 1/2 v . R v`: non-local drag of all filaments on each other.
 
     The mobility A (velocities from forces, by collocation at the nodes) is not quite
@@ -163,14 +162,42 @@ class StokesletSegments:
 
     def resistance(self, x: Float[Array, "n 3"]) -> Float[Array, "3m 3m"]:
         """Matrix (N s/m) that takes velocities of the solved nodes to the drag on them."""
-        return Resistance(self, x, jnp.linalg.inv(self.mobility(x)), jnp.ones(())).matrix()
+        return self._resistance(x).matrix()
+
+    def _resistance(self, x: Float[Array, "n 3"]) -> "Resistance":
+        mobility = self.mobility(x)
+        inverse = lax.stop_gradient(jnp.linalg.inv(mobility))
+        acts = tuple(node in self.dragged for node in self.nodes.tolist())
+        average = self.drag_matrix == "symmetric"
+        return Resistance(mobility, inverse, jnp.ones(()), acts, average)
+
+    def prepared(self, rod: Rod, state: State, outlook: Outlook) -> "SettledDrag":
+        x = positions(rod.topology, outlook.configuration)
+        dofs = Indices(rod.topology.node_dofs(self.nodes).ravel())
+        return SettledDrag(self._resistance(x), dofs, self.symmetric)
 
     def contribution(self, rod: Rod, state: State, interval: Interval) -> Quadratic:
-        x = positions(rod.topology, interval.middle(state))
-        inverse = lax.stop_gradient(jnp.linalg.inv(self.mobility(x)))
-        dofs = Indices(rod.topology.node_dofs(self.nodes).ravel())
-        operator = Resistance(self, x, inverse, interval.length)
-        return Quadratic(dofs, self.symmetric, operator, state.q)
+        here = Outlook(state.q, jnp.zeros_like(state.q))
+        return self.prepared(rod, state, here).contribution(rod, state, interval)
+
+
+@pytree
+class SettledDrag(Term):
+    """The drag of `StokesletSegments` at the configuration of one step.
+
+    Attributes:
+        resistance: N s/m.
+        dofs: (3m,) on which it acts.
+        symmetric: whether it derives from a potential.
+    """
+
+    resistance: "Resistance"
+    dofs: Indices = static()
+    symmetric: bool = static()
+
+    def contribution(self, rod: Rod, state: State, interval: Interval) -> Quadratic:
+        operator = replace(self.resistance, time=interval.length)
+        return Quadratic(self.dofs, self.symmetric, operator, interval.origin_from(state))
 
 
 @pytree
@@ -181,50 +208,47 @@ class Resistance:
     through A f = v: dv - dA f is solved for with the same inverse.
 
     Attributes:
-        drag: the term.
-        x: (n, 3) m, positions of all nodes of the rod.
-        inverse: (3m, 3m) of the mobility at these positions, N s/m.
+        mobility: (3m, 3m) A, m/(N s).
+        inverse: (3m, 3m) of the mobility, N s/m.
         time: s.
+        acts: for each of the m nodes, whether it feels the force; on the others it is dropped.
+        average: whether to take the symmetric part of the inverse.
     """
 
-    drag: StokesletSegments
-    x: Float[Array, "n 3"]
+    mobility: Float[Array, "3m 3m"]
     inverse: Float[Array, "3m 3m"]
     time: Float[Array, ""]
+    acts: tuple[bool, ...] = static()
+    average: bool = static()
 
-    def _acts(self, force: Array) -> Array:
-        """Without the forces on solved nodes that are not dragged."""
-        if len(self.drag.dragged) == len(self.drag.nodes):
+    def _felt(self, force: Array) -> Array:
+        if all(self.acts):
             return force
-        acts = jnp.repeat(jnp.isin(self.drag.nodes, np.array(self.drag.dragged)), 3).astype(float)
-        return acts.reshape(-1, *([1] * (force.ndim - 1))) * force
+        felt = np.repeat(np.array(self.acts, dtype=float), 3)
+        return jnp.asarray(felt.reshape(-1, *([1] * (force.ndim - 1)))) * force
 
     def matrix(self) -> Float[Array, "3m 3m"]:
         r = self.inverse
-        if self.drag.drag_matrix == "symmetric":
+        if self.average:
             r = 0.5 * (r + r.T)
-        return self._acts(r) / self.time
+        return self._felt(r) / self.time
 
     def apply(self, displacement: Float[Array, " 3m"]) -> Float[Array, " 3m"]:
-        force = _solve(False, self.drag, self.x, self.inverse, displacement)
-        if self.drag.drag_matrix == "symmetric":
-            force = 0.5 * (force + _solve(True, self.drag, self.x, self.inverse, displacement))
-        return self._acts(force) / self.time
+        force = _solve(self.mobility, self.inverse, displacement)
+        if self.average:
+            force = 0.5 * (force + _solve(self.mobility.T, self.inverse.T, displacement))
+        return self._felt(force) / self.time
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _solve(
-    transposed: bool, drag: StokesletSegments, x: Array, inverse: Array, b: Array
-) -> Float[Array, " 3m"]:
-    """A^-1 b (or A^-T b), with A the mobility at `x` and `inverse` its inverse."""
-    return inverse.T @ b if transposed else inverse @ b
+@jax.custom_jvp
+def _solve(a: Array, inverse: Array, b: Array) -> Float[Array, " 3m"]:
+    """A^-1 b."""
+    return inverse @ b
 
 
 @_solve.defjvp
-def _solve_jvp(transposed, primals, tangents):
-    drag, x, inverse, b = primals
-    d_drag, d_x, _, d_b = tangents
-    force = _solve(transposed, drag, x, inverse, b)
-    _, d_a = jax.jvp(lambda drag, x: drag.mobility(x), (drag, x), (d_drag, d_x))
-    change = d_a.T @ force if transposed else d_a @ force
-    return force, _solve(transposed, drag, x, inverse, d_b - change)
+def _solve_jvp(primals, tangents):
+    a, inverse, b = primals
+    d_a, _, d_b = tangents
+    force = _solve(a, inverse, b)
+    return force, _solve(a, inverse, d_b - d_a @ force)

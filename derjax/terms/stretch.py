@@ -6,7 +6,7 @@ from ..geometry import norm
 from ..potential import Autodiff, Elements
 from ..pytree import pytree
 from ..rod import Rod, State
-from .term import Interval
+from .term import Interval, Term
 
 
 def energy(local: Float[Array, " 6"], data: tuple[Array, Array]) -> Array:
@@ -17,7 +17,7 @@ def energy(local: Float[Array, " 6"], data: tuple[Array, Array]) -> Array:
 
 
 @pytree
-class Stretch:
+class Stretch(Term):
     """`E = sum over edges of 1/2 EA l (|e|/l - 1)^2`.
 
     Attributes:

@@ -7,7 +7,7 @@ from ..hinge import HingePotential, hinge_frames
 from ..potential import Elements
 from ..pytree import pytree
 from ..rod import Rod, State
-from .term import Interval
+from .term import Interval, Term
 
 
 def energy(kappa: Float[Array, " 2"], twist: Array, data: tuple[Array, Array, Array]) -> Array:
@@ -17,7 +17,7 @@ def energy(kappa: Float[Array, " 2"], twist: Array, data: tuple[Array, Array, Ar
 
 
 @pytree
-class Twist:
+class Twist(Term):
     """`E = sum over hinges of 1/2 GJ (theta_1 - theta_0 + m_ref - natural_twist)^2 / l`.
 
     At the driven hinges the natural twist is that of the rest shape plus the motor's angle

@@ -1,0 +1,1 @@
+"""How a step of time is taken: `(scene, state, length) -> Step`, one scheme in a file."""

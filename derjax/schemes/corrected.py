@@ -1,0 +1,48 @@
+"""Steps that are taken again and again, with forces corrected in between."""
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array
+
+from ..pytree import replace
+from ..rod import State
+from ..status import Status
+from ..step import Scene, Step
+from ..terms.spillmann_teschner import SpillmannTeschner
+from .euler import euler
+
+
+def corrected(scene: Scene, state: State, length: Array) -> Step:
+    """A step of implicit Euler of a scene that has the term `SpillmannTeschner`.
+
+    It ends when nothing overlaps, or after the term's number of tries; the overlap that is
+    left then is not an error. Differentiable in forward mode only.
+    """
+    place = next(k for k, t in enumerate(scene.terms) if isinstance(t, SpillmannTeschner))
+    contact = scene.terms[place]
+    assert isinstance(contact, SpillmannTeschner)
+
+    def attempt(force):
+        terms = list(scene.terms)
+        terms[place] = replace(contact, force=force)
+        step = euler(replace(scene, terms=tuple(terms)), state, length)
+        correction, overlaps = contact.correction(scene.rod, step.state.q, length)
+        return force + correction, overlaps & (step.info.status == Status.OK), step
+
+    def wanted(carry):
+        count, (_, overlaps, _) = carry
+        return overlaps & (count < contact.tries)
+
+    def again(carry):
+        count, (force, _, before) = carry
+        force, overlaps, step = attempt(force)
+        info = replace(
+            step.info,
+            iterations=before.info.iterations + step.info.iterations,
+            factorings=before.info.factorings + step.info.factorings,
+        )
+        step = replace(step, info=info)
+        return count + 1, (force, overlaps, step)
+
+    first = attempt(contact.force)
+    return lax.while_loop(wanted, again, (jnp.ones((), jnp.int32), first))[1][2]

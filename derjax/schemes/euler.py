@@ -1,0 +1,23 @@
+"""Implicit Euler: first order, L-stable, one solve in a step."""
+
+from jaxtyping import Array
+
+from ..rod import State
+from ..step import Scene, Step, at_end, expected_move, mean_acceleration, prepare, solve, turned
+from ..terms.term import Interval
+
+
+def euler(scene: Scene, state: State, length: Array) -> Step:
+    """A step of some length (s), differentiable in forward and reverse mode.
+
+    Drag matrices are taken where the rod is expected in the middle of the step. The error is
+    estimated as h^2/2 d2q/dt2.
+    """
+    turn = turned(scene, state, length)
+    terms = prepare(scene, state, 0.5 * length, length)
+    interval = Interval(length, state.motor_angle + turn)
+    q, info = solve(scene, terms, state, interval, turn, expected_move(state, length))
+    velocity = (q - state.q) / length
+    acceleration = (velocity - state.velocity) / length
+    error = 0.5 * length**2 * mean_acceleration(state, length, q)
+    return Step(at_end(scene, state, length, q, velocity, acceleration, turn), info, error)
