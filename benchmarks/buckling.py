@@ -142,7 +142,7 @@ def simulate(file: SceneFile, rpm: float) -> Length:
     built, state = derjax.build(file, {"rpm": rpm})
     lengths = [np.atleast_1d(head_to_tail(built, state.q))]
     report, n_steps = new_report(), file.time.n_steps
-    with Progress(n_steps, file.time.step) as progress:
+    with Progress(n_steps, "steps") as progress:
         for done in range(0, n_steps, STEPS_PER_CALL):
             state, length, report = _advance(built, state, report)
             lengths.append(np.asarray(length))

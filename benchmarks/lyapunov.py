@@ -73,7 +73,7 @@ def follow(end: float) -> pd.DataFrame:
     head = topology.head.node
     near = {s * d: start(file, one + s * d) for d in DIFFERENCES for s in (1, -1)}
     rows = []
-    with Progress(round(end / STEP), STEP) as progress:
+    with Progress(round(end / STEP), "steps") as progress:
         for k in range(file.time.n_frames):
             state, status, change = frame_with_tangent(primal, tangent)
             primal, tangent = (primal[0], state), (tangent[0], change)

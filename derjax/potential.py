@@ -77,6 +77,31 @@ class Autodiff:
         return cls(Sum(p.function for p, _ in parts)), tuple(data for _, data in parts)
 
 
+@dataclass(frozen=True)
+class Form:
+    """`1/2 u . A u` of the displacement u = local - origin, for data (origin (k,), A (k, k)).
+
+    What local drag makes of a step: A is its resistance (N s/m) over the length of the step.
+    """
+
+    def __call__(self, local: Array, data: tuple[Array, Array]) -> Array:
+        origin, a = data
+        return 0.5 * (local - origin) @ a @ (local - origin)
+
+    def gradient(self, local: Array, data: tuple[Array, Array]) -> Array:
+        origin, a = data
+        return a @ (local - origin)
+
+    def hessian(self, local: Array, data: tuple[Array, Array]) -> Array:
+        return data[1]
+
+    @classmethod
+    def together(cls, parts: Sequence[tuple["Form", Any]]) -> tuple["Form", Any]:
+        """Every drag of an interval is measured from the same origin."""
+        origin = parts[0][1][0]
+        return cls(), (origin, jnp.asarray(sum(a for _, (_, a) in parts)))
+
+
 def _add_blocks(matrix: Matrix, dofs: Int[Any, "b k"], blocks: Float[Array, "b k k"]) -> Matrix:
     """With a small matrix added at the degrees of freedom of every element."""
     return matrix.at[dofs[:, :, None], dofs[:, None, :]].add(blocks)

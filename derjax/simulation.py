@@ -11,8 +11,8 @@ from typing import Any
 
 import jax
 
-from . import plots, trajectory
 from . import summary as summaries
+from . import trajectory
 from .files import atomic_path
 from .progress import Progress, interruptible
 from .recording import (
@@ -32,12 +32,8 @@ from .step import Scene
 TRAJECTORY = "trajectory.nc"
 SUMMARY = "summary.json"
 CHECKPOINT = "checkpoint.npz"
-FIGURES = {
-    "track.png": plots.track,
-    "shape.png": plots.shape,
-    "speed.png": plots.speed,
-    "bundle.png": plots.bundle,
-}
+FIGURES = {f"{name}.png": name for name in ("track", "shape", "speed", "bundle")}
+"""Files of figures, and the functions of `plots` that draw them."""
 
 SECONDS_BETWEEN_SAVES = 30.0
 DONE, INTERRUPTED = 0, 130
@@ -205,8 +201,10 @@ def _write_results(
     trajectory.write(dataset, options.output / TRAJECTORY)
     summaries.write(summary, options.output / SUMMARY)
     if options.figures:
-        for name, draw in FIGURES.items():
-            figure = draw(dataset)
+        from . import plots  # slow to import
+
+        for name, drawn in FIGURES.items():
+            figure = getattr(plots, drawn)(dataset)
             if figure is not None:
                 with atomic_path(options.output / name) as temporary:
                     figure.savefig(temporary)

@@ -5,32 +5,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..geometry import cross, dot, norm, unit
-from ..potential import Autodiff, Elements
+from ..potential import Elements, Form
 from ..pytree import Indices, pytree, replace
 from ..rod import Head, Rod, State, positions
 from .term import Interval, Outlook, Term
-
-
-def dissipation(
-    local: Float[Array, " k"], data: tuple[Array, Array, Array, Array, Array, Array, Array]
-) -> Float[Array, ""]:
-    """h Phi of one head (J).
-
-    `local` holds the head node, the start and end of the head's line (m), and its angles.
-    """
-    old, line, before, translation, spin, tilt, h = data
-    moved = local - old
-    displacement, change = moved[:3], moved[6:9] - moved[3:6]
-    # Frames are transported from the start of the step, so that a change of the line turns
-    # them a little about it: by the holonomy of that transport. It makes hardly any angle, but
-    # the torque on the spin is felt as a force on the line, without which the head drifts
-    # aside by an error of first order in the step.
-    direction, first = unit(line), unit(before)
-    holonomy = cross(direction, first) / (norm(line) * (1.0 + dot(first, direction)))
-    turn = jnp.mean(moved[9:]) + dot(holonomy, change)
-    change = (change - dot(change, direction) * direction) / norm(line)
-    rate = translation * dot(displacement, displacement) + spin * turn**2
-    return 0.5 / h * (rate + tilt * dot(change, change))
 
 
 @pytree
@@ -59,15 +37,42 @@ class HeadDrag(Term):
 
     def contribution(self, rod: Rod, state: State, interval: Interval) -> Elements:
         topology = rod.topology
-        head = _head(rod)
+        head, first = _head(rod), _line(rod, state.q)
+        line = first if self.line is None else self.line
         nodes = topology.node_dofs([head.node, *head.line]).ravel()
         dofs = np.append(nodes, topology.edge_dofs(head.edges))
-        before = _line(rod, state.q)
-        line = before if self.line is None else self.line
-        origin = interval.origin_from(state)[dofs]
-        data = (origin, line, before, self.translation, self.spin, self.tilt, interval.length)
-        return Elements(
-            Indices(dofs[None]), Autodiff(dissipation), tuple(jnp.asarray(x)[None] for x in data)
+        resistance = self.resistance(line, first, len(head.edges))
+        data = interval.origin_from(state)[dofs][None], resistance[None] / interval.length
+        return Elements(Indices(dofs[None]), Form(), data)
+
+    def resistance(
+        self, line: Float[Array, " 3"], first: Float[Array, " 3"], n_edges: int
+    ) -> Float[Array, "k k"]:
+        """Matrix (N s/m) that takes velocities to drag.
+
+        Of the head's node, of the start and the end of its line (m/s), and of the angles of its
+        edges (rad/s).
+
+        Args:
+            line: m, from start to end.
+            first: m, at the start of the step.
+            n_edges: number of edges of the head.
+        """
+        move, turn = np.eye(3, 9 + n_edges), np.zeros(9 + n_edges)
+        turn[9:] = 1.0 / n_edges
+        change = np.eye(3, 9 + n_edges, 6) - np.eye(3, 9 + n_edges, 3)
+        # Frames are transported from the start of the step, so that a change of the line turns
+        # them a little about it: by the holonomy of that transport. It makes hardly any angle, but
+        # the torque on the spin is felt as a force on the line, without which the head drifts
+        # aside by an error of first order in the step.
+        direction, before = unit(line), unit(first)
+        holonomy = cross(direction, before) / (norm(line) * (1.0 + dot(before, direction)))
+        spin = jnp.asarray(turn) + holonomy @ change
+        tilt = (jnp.eye(3) - jnp.outer(direction, direction)) @ change / norm(line)
+        return (
+            self.translation * move.T @ move
+            + self.spin * jnp.outer(spin, spin)
+            + self.tilt * tilt.T @ tilt
         )
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..geometry import dot, unit
-from ..potential import Autodiff, Elements
+from ..potential import Elements, Form
 from ..pytree import Indices, pytree, replace
 from ..rod import Rod, State, positions
 from .term import Interval, Outlook, Term
@@ -33,14 +33,6 @@ def lighthill(
     turn = jnp.sqrt(pitch**2 + (2.0 * jnp.pi * helix_radius) ** 2)
     ratio = jnp.log(0.18 * turn / rod_radius)
     return 2.0 * jnp.pi * viscosity / ratio, 4.0 * jnp.pi * viscosity / (ratio + 0.5)
-
-
-def dissipation(local: Float[Array, " 3"], data: tuple[Array, Array, Array, Array, Array]) -> Array:
-    """h Phi of one node (J)."""
-    old, tangent, parallel, normal, h = data
-    displacement = local - old
-    along = dot(displacement, tangent)
-    return 0.5 / h * (normal * dot(displacement, displacement) + (parallel - normal) * along**2)
 
 
 @pytree
@@ -75,12 +67,9 @@ class ResistiveDrag(Term):
                 unit(jnp.pad(direction, ((0, 1), (0, 0))) + jnp.pad(direction, ((1, 0), (0, 0))))
             )
         dofs = topology.node_dofs(nodes)
-        weight = jnp.concatenate(length)
-        data = (
-            interval.origin_from(state)[dofs],
-            jnp.concatenate(tangent),
-            self.parallel * weight,
-            self.normal * weight,
-            jnp.broadcast_to(interval.length, weight.shape),
-        )
-        return Elements(Indices(dofs), Autodiff(dissipation), data)
+        weight = jnp.concatenate(length)[:, None, None]
+        tangent = jnp.concatenate(tangent)
+        along = tangent[:, :, None] * tangent[:, None, :]
+        resistance = weight * (self.normal * jnp.eye(3) + (self.parallel - self.normal) * along)
+        data = interval.origin_from(state)[dofs], resistance / interval.length
+        return Elements(Indices(dofs), Form(), data)
