@@ -16,7 +16,7 @@ from benchmarks.rigid import (
     stokeslet_resistance,
 )
 from derjax.robots import helix
-from derjax.terms.stokeslets import mobility, moments, segment_kernels
+from derjax.terms.stokeslets import flow, mobility, moments, pull, segment_kernels
 
 # A segment of length L from START to END, in a general direction.
 START = np.array([0.2, -0.1, 0.3])
@@ -140,6 +140,18 @@ def test_flow_far_away_is_that_of_a_point_force():
     m1, m2 = kernels(jnp.asarray(TARGETS["far"]), 0.1 * LENGTH)
     # the first correction is that of the quadrupole, of relative size (L / r)^2
     np.testing.assert_allclose(m1 + m2, stokeslet, atol=2e-4 * np.abs(stokeslet).max())
+
+
+@pytest.mark.parametrize("end_nodes", ["half", "full"])
+def test_products_with_the_mobility_are_those_of_the_matrix(rng, end_nodes):
+    """Of the matrix and of its transpose, for two filaments of different lengths."""
+    filaments = tuple(jnp.asarray(rng.normal(size=(n, 3))) for n in (4, 6))
+    vector = jnp.asarray(rng.normal(size=(10, 3)))
+    fluid = jnp.asarray(2.0), jnp.asarray(0.1), end_nodes
+    matrix = mobility(filaments, *fluid)
+    forth, back = (function(filaments, vector, *fluid) for function in (flow, pull))
+    np.testing.assert_allclose(forth.ravel(), matrix @ vector.ravel(), rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(back.ravel(), matrix.T @ vector.ravel(), rtol=1e-11, atol=1e-12)
 
 
 def test_mobility_takes_forces_to_velocities_by_superposition(rng):
