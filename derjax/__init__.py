@@ -5,7 +5,12 @@ Importing derjax switches JAX to 64-bit floating point: slender rods are too sti
     scene file --load_scene--> SceneFile --build--> Scene, State --rollout--> states, report
 """
 
+import os
 from importlib.metadata import version
+
+# Else XLA writes a page about processor features for every program that it finds in the
+# compilation cache. Failures are exceptions all the same.
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 import jax
 
@@ -19,6 +24,7 @@ from .rod import at_rest as at_rest  # noqa: E402
 from .rod import chain as chain  # noqa: E402
 from .rod import positions as positions  # noqa: E402
 from .rollout import Report as Report  # noqa: E402
+from .rollout import march as march  # noqa: E402
 from .rollout import rollout as rollout  # noqa: E402
 from .scene import build as build  # noqa: E402
 from .scenefile import InputError as InputError  # noqa: E402

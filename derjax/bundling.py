@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .geometry import cross, dot
+from .neighbours import closest
 from .rod import Topology
 from .segments import distance
 from .terms.contact import Contact, Touch, force, meeting
@@ -68,16 +69,21 @@ def winding(pair: Float[Array, "*b 4 3"]) -> Float[Array, "*b"]:
     return jnp.sign(dot(cross(d - c, b - a), c - a)) * sum(angles) / (4.0 * jnp.pi)
 
 
-@jax.jit
+@partial(jax.jit, static_argnums=1)
 def contact_forces(
-    contact: Contact, pairs: Array, nodes: Float[Array, "t n 3"]
-) -> Float[Array, "t p"]:
-    """Force (N) by which the edges of each pair, (p, 4) nodes, repel each other."""
+    contact: Contact, topology: Topology, nodes: Float[Array, "t n 3"]
+) -> Float[Array, "t k"]:
+    """Forces (N) by which the pairs of edges that touch repel each other, in no order.
+
+    Zero in places that no pair takes.
+    """
     touch = Touch(contact.stiffness, 2.0 * contact.radius)
 
-    def at_one_time(x: Float[Array, "n 3"]) -> Float[Array, " p"]:
-        _, d = jax.vmap(meeting, (0, None))(x[pairs].reshape(-1, 12), touch.diameter)
-        return force(d, touch)
+    def at_one_time(x: Float[Array, "n 3"]) -> Float[Array, " k"]:
+        edges, found = closest(topology, x, contact.pairs, touch.diameter, contact.capacity)
+        pairs = x[jnp.asarray(topology.edge_nodes)[edges].reshape(-1, 4)]
+        _, d = jax.vmap(meeting, (0, None))(pairs.reshape(-1, 12), touch.diameter)
+        return jnp.where(jnp.arange(contact.capacity) < found, force(d, touch), 0.0)
 
     return jax.lax.map(at_one_time, nodes)
 

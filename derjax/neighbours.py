@@ -1,4 +1,9 @@
-"""Which pairs of edges come close: found anew at the start of every step."""
+"""Which pairs of edges come close: found anew at the start of every step.
+
+The edges of large robots are looked through in groups of some in a row first, each in a sphere.
+"""
+
+from functools import lru_cache
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +18,15 @@ from .status import Status
 
 PENETRATION = 0.01
 """The part of their diameter by which rods may penetrate each other at the end of a step."""
+
+MANY = 20_000
+"""Pairs from which on edges are looked through in groups."""
+
+GROUP = 8
+"""Edges of a group."""
+
+CLOSE_GROUPS = 8
+"""Pairs of groups that may be close at one time, per group."""
 
 
 def pairs_apart(topology: Topology, rest_length: np.ndarray, gap: float) -> Indices:
@@ -44,6 +58,83 @@ def pairs_apart(topology: Topology, rest_length: np.ndarray, gap: float) -> Indi
     return Indices(np.stack([first[far], second[far]], axis=1))
 
 
+@lru_cache(maxsize=8)
+def _grouped(n_edges: int, pairs: Indices) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The edges (g, 8) of every group, -1 where there is none; the pairs (c, 2) of groups; and
+    the edges (e, k) that every edge cannot touch, itself included."""
+    groups = np.full(-(-n_edges // GROUP) * GROUP, -1, dtype=np.int32)
+    groups[:n_edges] = np.arange(n_edges)
+    groups = groups.reshape(-1, GROUP)
+    barred = np.ones((n_edges, n_edges), bool)
+    barred[pairs.array[:, 0], pairs.array[:, 1]] = False
+    barred &= barred.T
+    partners = np.full((n_edges, int(barred.sum(axis=1).max())), -1, dtype=np.int32)
+    for edge, row in enumerate(barred):
+        found = np.flatnonzero(row)
+        partners[edge, : len(found)] = found
+    return groups, np.stack(np.triu_indices(len(groups)), axis=1).astype(np.int32), partners
+
+
+def _candidates(
+    topology: Topology, x: Float[Array, "n 3"], pairs: Indices, reach: Array
+) -> tuple[Int[Array, "c 2"], Bool[Array, " c"], Bool[Array, ""]]:
+    """Pairs of edges that hold all those closer than `reach` (m), which of them count, and
+    whether there were more than could be looked at."""
+    if len(pairs.array) <= MANY:
+        return jnp.asarray(pairs.array), jnp.ones(len(pairs.array), bool), jnp.array(False)
+    groups, couples, partners = _grouped(topology.n_edges, pairs)
+    there = groups >= 0
+    ends = x[topology.edge_nodes[groups]].reshape(len(groups), -1, 3)
+    known = jnp.asarray(np.repeat(there, 2, axis=1))[..., None]
+    centre = jnp.sum(jnp.where(known, ends, 0.0), axis=1) / jnp.sum(known, axis=1)
+    away = jnp.where(known, (ends - centre[:, None]) ** 2, 0.0)
+    radius = jnp.sqrt(jnp.max(jnp.sum(away, axis=-1), axis=1))
+    first, second = couples.T
+    apart = jnp.sqrt(jnp.sum((centre[first] - centre[second]) ** 2, axis=-1))
+    near = apart < radius[first] + radius[second] + reach
+    size = min(CLOSE_GROUPS * len(groups), len(couples))
+    (chosen,) = jnp.nonzero(near, size=size, fill_value=0)
+    looked_at = jnp.arange(size) < jnp.sum(near)
+    one, other = (jnp.asarray(groups)[jnp.asarray(couples)[chosen, k]] for k in (0, 1))
+    shape = (size, GROUP, GROUP)
+    i = jnp.broadcast_to(one[:, :, None], shape)
+    j = jnp.broadcast_to(other[:, None, :], shape)
+    barred = jnp.any(jnp.asarray(partners)[i] == j[..., None], axis=-1)
+    counts = looked_at[:, None, None] & (i >= 0) & (j >= 0) & (i < j) & ~barred
+    edges = jnp.maximum(jnp.stack([i.ravel(), j.ravel()], axis=1), 0)
+    return edges, counts.ravel(), jnp.sum(near) > size
+
+
+def _nodes_of(topology: Topology, edges: Int[Array, "c 2"]) -> Int[Array, "c 4"]:
+    """Start and end of both edges."""
+    return jnp.asarray(topology.edge_nodes)[edges].reshape(-1, 4)
+
+
+def _nearest(
+    topology: Topology, x: Float[Array, "n 3"], pairs: Indices, diameter: Array
+) -> Float[Array, ""]:
+    """The smallest distance (m) of two edges that can touch, if it is less than a diameter."""
+    edges, counts, _ = _candidates(topology, x, pairs, diameter)
+    return jnp.min(jnp.where(counts, distance(x[_nodes_of(topology, edges)]), jnp.inf))
+
+
+def closest(
+    topology: Topology,
+    x: Float[Array, "n 3"],
+    pairs: Indices,
+    reach: Array,
+    capacity: int,
+) -> tuple[Int[Array, "k 2"], Int[Array, ""]]:
+    """The pairs of edges that are closer than `reach` (m), and how many there are.
+
+    More than `capacity` of them if there are too many to find them all.
+    """
+    edges, counts, overflow = _candidates(topology, x, pairs, reach)
+    close = counts & (distance(x[_nodes_of(topology, edges)]) < reach)
+    (chosen,) = jnp.nonzero(close, size=capacity, fill_value=0)
+    return edges[chosen], jnp.where(overflow, capacity + 1, jnp.sum(close))
+
+
 @pytree
 class Neighbours:
     """The pairs of edges that may touch during a step.
@@ -53,7 +144,8 @@ class Neighbours:
         nodes: (k, 4) start and end of both edges.
         taken: (k,) which places of the list are in use.
         found: how many pairs came close, more than k if the list was too short.
-        all_nodes: of every pair that could ever touch.
+        topology: of the rod.
+        pairs: (p, 2) all edges that could ever touch.
         start: (n, 3) m, where the nodes were.
         diameter: m, of the rod.
         skin: m, how far beyond the diameter the search went.
@@ -63,7 +155,8 @@ class Neighbours:
     nodes: Int[Array, "k 4"]
     taken: Bool[Array, " k"]
     found: Int[Array, ""]
-    all_nodes: Indices = static()
+    topology: Topology = static()
+    pairs: Indices = static()
     start: Float[Array, "n 3"]
     diameter: Float[Array, ""]
     skin: Float[Array, ""]
@@ -94,10 +187,9 @@ class Neighbours:
         """Whether the list was too short, or a step that ends at `q` cannot be accepted."""
         x = self._nodes(q)
         moved = jnp.sqrt(jnp.max(jnp.sum((x - self.start) ** 2, axis=1)))
-        every = self.all_nodes.array
         nearest = lax.cond(
             2.0 * moved > self.skin,  # then pairs that were not listed may touch
-            lambda: jnp.min(distance(x[every])),
+            lambda: _nearest(self.topology, x, self.pairs, self.diameter),
             lambda: jnp.min(self._distances(x)),
         )
         return jnp.select(
@@ -139,16 +231,14 @@ def search(
     x = lax.stop_gradient(positions(topology, state.q))
     moves = lax.stop_gradient(positions(topology, move))
     skin = 2.5 * jnp.sqrt(jnp.max(jnp.sum(moves * moves, axis=1))) + 0.25 * diameter
-    all_nodes = topology.edge_nodes[pairs.array].reshape(-1, 4)
-    close = distance(x[all_nodes]) < diameter + skin
-    (chosen,) = jnp.nonzero(close, size=capacity, fill_value=0)
-    found = jnp.sum(close)
+    edges, found = closest(topology, x, pairs, diameter + skin, capacity)
     return Neighbours(
-        edges=jnp.asarray(pairs.array)[chosen],
-        nodes=jnp.asarray(all_nodes)[chosen],
+        edges=edges,
+        nodes=_nodes_of(topology, edges),
         taken=jnp.arange(capacity) < found,
         found=found,
-        all_nodes=Indices(all_nodes),
+        topology=topology,
+        pairs=pairs,
         start=x,
         diameter=lax.stop_gradient(diameter),
         skin=lax.stop_gradient(skin),

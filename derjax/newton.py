@@ -10,29 +10,25 @@ mode with a transposable solve, which gives reverse mode and higher orders as we
 """
 
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.ad_checkpoint import checkpoint_name
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, Int
 
-from .linear import Factor, factor
-from .potential import Dofs, Potential
-from .pytree import pytree, replace, static
+from .linear import Factor
+from .potential import Dofs
+from .pytree import push, pytree, replace, static
 from .status import Status
 
 _SEARCHING = -1
 
 CLOSE = 1e5
 """Tolerances; with less than that left the residual alone tells whether a step is good."""
-
-
-CHORDS = 8
-"""Steps that one may still have to take with a matrix that is out of date: more of them, at the
-rate at which the residual falls, cost more than a new matrix."""
 
 
 @pytree
@@ -42,12 +38,15 @@ class NewtonSettings:
     Attributes:
         tolerance: the largest scaled residual of a solution, unless round-off is larger.
         force_scale: (d,) N and N m, what the residual is measured in.
+        size: (d,) m and rad, of numbers that are rounded, if larger than the unknowns themselves:
+            angles are made of others, of about half a turn, that may add up to nothing.
         max_iterations: Newton steps.
         max_halvings: of a Newton step, in the line search.
     """
 
     tolerance: Float[Array, ""]
     force_scale: Dofs
+    size: Dofs | float = 0.0
     max_iterations: int = static(default=40)
     max_halvings: int = static(default=20)
 
@@ -92,16 +91,17 @@ class _Point:
 
 @pytree
 class _Search:
-    """A point, the direction in which to go from there, and the part of it that is tried next.
+    """A point, and the part of the way from there that is tried next.
 
-    The Newton matrix is `fresh` if it is that of the point, and `outdated` if the next step
+    Residuals are measured in `unit`; `blurred` is what rounding leaves of the largest, in units of
+    forces. The Newton matrix is `fresh` if it is that of the point, and `outdated` if the next step
     should not be taken with it.
     """
 
     point: _Point
-    direction: Dofs
-    length: Array
-    tolerance: Array
+    part: Array
+    unit: Dofs
+    blurred: Array
     iterations: Array
     factorings: Array
     fresh: Array
@@ -114,14 +114,36 @@ def _insert(q: Dofs, values: Array | float, free: tuple[int, ...]) -> Dofs:
     return q.at[np.array(free)].set(values, unique_indices=True)
 
 
+class Equations(Protocol):
+    """What is to be solved: a `Potential`, or a `Saddle`.
+
+    Attributes:
+        symmetric: whether a potential is to be minimised: there is a `value_and_gradient`.
+        chords: steps that one may still have to take with a matrix that is out of date.
+        guards: what must hold on the way.
+    """
+
+    symmetric: Any
+    chords: int
+    guards: Any
+
+    def gradient(self, q: Dofs) -> Dofs: ...
+
+    def reach(self, q: Dofs, direction: Dofs) -> Array: ...
+
+    def factored(
+        self, q: Dofs, sizes: Dofs, free: tuple[int, ...] | None, exact: bool
+    ) -> tuple[Factor, Dofs]: ...
+
+
 @partial(jax.custom_jvp, nondiff_argnums=(3,))
 def equilibrium(
-    potential: Potential, guess: Dofs, settings: NewtonSettings, free: tuple[int, ...] | None
+    potential: Any, guess: Dofs, settings: NewtonSettings, free: tuple[int, ...] | None
 ) -> tuple[Dofs, NewtonInfo]:
     """The point near `guess` where the gradient of `potential` vanishes.
 
     Args:
-        potential: to be made stationary; a minimum where it is symmetric.
+        potential: `Equations`; a potential is made a minimum where it is symmetric.
         guess: (d,) start. Degrees of freedom that are not free keep its values.
         settings: tolerances.
         free: degrees of freedom to solve for; None for all.
@@ -134,31 +156,33 @@ def equilibrium(
     chosen = slice(None) if free is None else np.array(free)
     shortest = 0.5**settings.max_halvings
 
-    def scaled(force):
-        return jnp.max((jnp.abs(force) / settings.force_scale)[chosen])
+    def scaled(force: Dofs, unit: Dofs) -> Array:
+        return jnp.max((jnp.abs(force) / unit)[chosen])
 
     def along(matrix: Factor, gradient: Dofs) -> Dofs:
         step = -matrix.solve(gradient[chosen])
         return step if free is None else _insert(jnp.zeros_like(gradient), step, free)
 
-    def reach(q: Dofs, direction: Dofs) -> Array:
-        return potential.reach(q, direction) if potential.guards else jnp.ones(())
-
-    # The potential, its gradient and its Hessian each stand at one place in the program: they
-    # are what compiling costs. A loop within a loop, and not a choice within one, as matrices
-    # that are handed on from one iteration to the next would be copied.
+    # The potential, its gradient, its Hessian and a solution with it each stand at one place in the
+    # program: they are what compiling costs. A loop within a loop, and not a choice within one, as
+    # matrices that are handed on from one iteration to the next would be copied.
     def renew(now: _Search) -> _Search:
         q = now.point.q
-        stiffness = potential.hessian(q)
-        # No residual can be smaller than what rounding the coordinates alone makes of it.
-        rounding = 4.0 * jnp.finfo(q.dtype).eps * scaled(jnp.diagonal(stiffness) * q)
-        matrix = factor(stiffness[chosen][:, chosen], symmetric)
-        direction = along(matrix, now.point.gradient)
+        sizes = jnp.maximum(jnp.abs(q), settings.size)
+        matrix, rounded = potential.factored(q, sizes, free, exact=False)
+        # No residual can be smaller than what rounding the coordinates alone makes of it. That is
+        # so for every equation by itself: the inertia of a head that is heavy for a short step
+        # says nothing about the twist of a thin rod.
+        rounding = 4.0 * jnp.finfo(q.dtype).eps * rounded
+        unit = jnp.maximum(settings.force_scale, rounding / settings.tolerance)
+        before = now.point.residual
+        residual = jnp.where(jnp.isinf(before), before, scaled(now.point.gradient, unit))
         start = replace(
             now,
-            direction=direction,
-            length=reach(q, direction),
-            tolerance=jnp.maximum(settings.tolerance, rounding),
+            point=replace(now.point, residual=residual),
+            unit=unit,
+            blurred=jnp.maximum(settings.tolerance, scaled(rounding, settings.force_scale)),
+            part=jnp.ones(()),
             factorings=now.factorings + 1,
             fresh=jnp.array(True),
             outdated=jnp.array(False),
@@ -168,64 +192,66 @@ def equilibrium(
         )
 
     def advance(matrix: Factor, now: _Search) -> _Search:
-        q = now.point.q + now.length * now.direction
+        direction = along(matrix, now.point.gradient)
+        length = now.part
+        if potential.guards:
+            length = length * potential.reach(now.point.q, direction)
+        q = now.point.q + length * direction
         if symmetric:
             value, gradient = potential.value_and_gradient(q)
         else:
             value, gradient = now.point.value, potential.gradient(q)
-        residual, before = scaled(gradient), now.point.residual
-        accepted = residual <= (1.0 - 1e-4 * now.length) * before
+        residual, before = scaled(gradient, now.unit), now.point.residual
+        accepted = residual <= (1.0 - 1e-4 * length) * before
         if symmetric:
-            slope = now.direction @ now.point.gradient
+            slope = direction @ now.point.gradient
             # Far from the solution a smaller residual alone will not do: where rods touch,
             # iterations that trade the one for the other may go round in circles. Close to it
             # the potential says nothing any more, for rounding.
-            close = before <= CLOSE * now.tolerance
+            close = before <= CLOSE * now.blurred
             accepted &= close | (value <= now.point.value)
-            accepted |= (slope < 0) & (value <= now.point.value + 1e-4 * now.length * slope)
+            accepted |= (slope < 0) & (value <= now.point.value + 1e-4 * length * slope)
         finite = jnp.isfinite(residual)
         accepted &= finite
-        solved = accepted & (residual <= now.tolerance)
+        solved = accepted & (residual <= settings.tolerance)
         count = now.iterations + 1
 
         # The steps that are left if each lowers the residual by as much as this one did. What
         # the first evaluation, at the guess, has before it says nothing: it needs no new matrix.
-        left = jnp.log(now.tolerance / residual) / jnp.log(residual / before)
-        lasting = (now.length == 1.0) & (residual < before) & (left <= CHORDS)
+        left = jnp.log(settings.tolerance / residual) / jnp.log(residual / before)
+        lasting = (length == 1.0) & (residual < before) & (left <= potential.chords)
         first = now.iterations < 0
         outdated = ~solved & jnp.where(accepted, ~first & ~lasting, ~now.fresh)
         # Near the solution rounding may leave no step that lowers the residual any further.
-        stalled = before <= 100.0 * now.tolerance
+        stalled = before <= 100.0 * settings.tolerance
         status = jnp.select(
             [
                 solved,
                 accepted & (count > settings.max_iterations),
-                accepted | outdated | (now.length > shortest),
+                accepted | outdated | (now.part > shortest),
                 stalled,
                 finite,
             ],
             [Status.OK, Status.MAX_ITERATIONS, _SEARCHING, Status.OK, Status.LINE_SEARCH],
             Status.NON_FINITE,
         )
-        direction = along(matrix, gradient)
         here = replace(
             now,
             point=_Point(q, value, gradient, residual),
-            direction=direction,
-            length=reach(q, direction),
+            part=jnp.ones(()),
             iterations=count,
             fresh=first,
         )
-        shorter = replace(now, length=0.5 * now.length)
+        shorter = replace(now, part=0.5 * now.part)
         new = jax.tree.map(lambda a, b: jnp.where(accepted, a, b), here, shorter)
         return replace(new, status=status.astype(jnp.int32), outdated=outdated)
 
     infinite = jnp.array(jnp.inf, guess.dtype)
     start = _Search(
         point=_Point(guess, infinite, jnp.zeros_like(guess), infinite),
-        direction=jnp.zeros_like(guess),
-        length=jnp.ones(()),
-        tolerance=settings.tolerance,
+        part=jnp.ones(()),
+        unit=settings.force_scale,
+        blurred=settings.tolerance,
         iterations=jnp.array(-1, jnp.int32),  # the first evaluation is not a Newton step
         factorings=jnp.zeros((), jnp.int32),
         fresh=jnp.array(True),
@@ -234,10 +260,13 @@ def equilibrium(
     )
     end = lax.while_loop(lambda now: now.status == _SEARCHING, renew, start)
     iterations = jnp.maximum(end.iterations, 0)
-    return end.point.q, NewtonInfo(end.status, iterations, end.factorings, end.point.residual)
+    last = end.point
+    left = scaled(last.gradient, settings.force_scale)
+    residual = jnp.where(jnp.isinf(last.residual), last.residual, left)
+    return last.q, NewtonInfo(end.status, iterations, end.factorings, residual)
 
 
-@equilibrium.defjvp
+@partial(equilibrium.defjvp, symbolic_zeros=True)
 def _equilibrium_jvp(free, primals, tangents):
     potential, guess, settings = primals
     d_potential, d_guess, _ = tangents
@@ -247,10 +276,16 @@ def _equilibrium_jvp(free, primals, tangents):
     info = replace(info, status=checkpoint_name(info.status, "state"))
     chosen = slice(None) if free is None else np.array(free)
     # Clamped degrees of freedom follow the guess; the others follow from F = 0.
-    clamped = jnp.zeros_like(q) if free is None else _insert(d_guess, 0.0, free)
-    _, d_gradient = jax.jvp(lambda p, y: p.gradient(y), (potential, q), (d_potential, clamped))
-    matrix = potential.hessian(lax.stop_gradient(q))[chosen][:, chosen]
-    solver = factor(lax.stop_gradient(matrix), potential.symmetric)
+    clamped = jnp.zeros_like(q)
+    if free is None:
+        _, d_gradient = push(lambda p: p.gradient(q), (potential,), (d_potential,))
+    else:
+        if not isinstance(d_guess, SymbolicZero):
+            clamped = _insert(d_guess, 0.0, free)
+        _, d_gradient = push(lambda p, y: p.gradient(y), (potential, q), (d_potential, clamped))
+    solver = lax.stop_gradient(
+        potential.factored(lax.stop_gradient(q), jnp.abs(q), free, exact=True)[0]
+    )
 
     def stiffness(x):
         """The Newton matrix times x: never computed, but what higher derivatives go through."""

@@ -22,6 +22,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from .linear import Factor, factor
 from .pytree import Indices, pytree, static
 from .status import Status
 
@@ -128,9 +129,12 @@ class Elements:
         local = jax.vmap(self.potential.gradient)(q[self.dofs.array], self.data)
         return jnp.zeros_like(q).at[self.dofs.array].add(local)
 
+    def local_hessians(self, q: Dofs) -> tuple[np.ndarray, Float[Array, "b k k"]]:
+        """Degrees of freedom of every element, and its Hessian."""
+        return self.dofs.array, jax.vmap(self.potential.hessian)(q[self.dofs.array], self.data)
+
     def add_hessian(self, matrix: Matrix, q: Dofs) -> Matrix:
-        local = jax.vmap(self.potential.hessian)(q[self.dofs.array], self.data)
-        return _add_blocks(matrix, self.dofs.array, local)
+        return _add_blocks(matrix, *self.local_hessians(q))
 
 
 class Guard(Protocol):
@@ -196,6 +200,12 @@ class Pairs:
             return jnp.sum(value), zero.at[self.dofs].add(local)
 
         return self._if_any(both, (jnp.zeros(()), zero))
+
+    def local_hessians(self, q: Dofs) -> tuple[Array, Float[Array, "b k k"]]:
+        """Degrees of freedom of every place of the list, and its Hessian."""
+        size = self.dofs.shape[1]
+        nothing = jnp.zeros((len(self.dofs), size, size))
+        return self.dofs, self._if_any(lambda: self._each(q, self.potential.hessian), nothing)
 
     def add_hessian(self, matrix: Matrix, q: Dofs) -> Matrix:
         return self._if_any(
@@ -292,7 +302,45 @@ class Load:
         return matrix
 
 
+class ForceLaw(Protocol):
+    """A symmetric linear map of forces on wet nodes (N) to their velocities (m/s)."""
+
+    @property
+    def resistance(self) -> Float[Array, "b k k"]:
+        """Of every block as if it were alone, N s/m."""
+        ...
+
+    def apply(self, force: Float[Array, " m"]) -> Float[Array, " m"]:
+        """The velocities for forces, differentiable in everything that they depend on."""
+        ...
+
+    def resist(self, velocity: Float[Array, " m"]) -> Float[Array, " m"]:
+        """Roughly the forces for velocities, those of every block as if it were alone."""
+        ...
+
+
+@pytree
+class Mobility:
+    """Drag known by what forces do: the displacement u = q - origin is `time law(force)`.
+
+    For `Quadratic` the law would have to be inverted, which large robots cannot afford. The
+    forces are unknowns of their own; see `saddle`.
+
+    Attributes:
+        dofs: (m,) the degrees of freedom that are dragged.
+        law: of force to velocity.
+        origin: (d,) m and rad.
+        time: s.
+    """
+
+    dofs: Indices = static()
+    law: ForceLaw
+    origin: Dofs
+    time: Float[Array, ""]
+
+
 Contribution = Elements | Pairs | Quadratic | Diagonal | Load
+"""What a potential is made of. A `Mobility` stands beside it."""
 
 
 @pytree
@@ -300,6 +348,10 @@ class Potential:
     """The sum of the contributions to one step."""
 
     contributions: tuple[Contribution, ...]
+
+    chords = 8
+    """Steps that one may still have to take with a matrix that is out of date: more of them, at
+    the rate at which the residual falls, cost more than a new matrix."""
 
     @property
     def symmetric(self) -> bool:
@@ -343,6 +395,17 @@ class Potential:
         for c in sorted(self.contributions, key=lambda c: isinstance(c, Elements | Pairs)):
             matrix = c.add_hessian(matrix, q)
         return matrix
+
+    def factored(
+        self, q: Dofs, sizes: Dofs, free: tuple[int, ...] | None, exact: bool
+    ) -> tuple[Factor, Dofs]:
+        """What solves with the Newton matrix of the free degrees of freedom at q, and the forces
+        (d,) that rounding numbers of some sizes (m and rad) makes, in units of the rounding."""
+        del exact  # a direct solution is
+        matrix = self.hessian(q)
+        rounding = jnp.abs(matrix) @ sizes
+        chosen = slice(None) if free is None else np.array(free)
+        return factor(matrix[chosen][:, chosen], self.symmetric), rounding
 
 
 def gather(contributions: Sequence[Contribution]) -> Potential:

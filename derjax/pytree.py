@@ -6,10 +6,13 @@ one rule is what "static structure apart from differentiable parameters" means i
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any, TypeVar, dataclass_transform
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.custom_derivatives import SymbolicZero
 
 T = TypeVar("T")
 
@@ -28,6 +31,31 @@ def pytree(cls: type[T]) -> type[T]:
 def replace(tree: T, **changes: Any) -> T:
     """A copy of `tree` with the named fields changed."""
     return dataclasses.replace(tree, **changes)  # pyright: ignore[reportArgumentType]
+
+
+def push(function: Callable[..., T], primals: tuple, tangents: tuple) -> tuple[T, T]:
+    """`jax.jvp` for tangents some of whose leaves are known to be zero (`SymbolicZero`).
+
+    Nothing is computed for those: multiplying by zeros is work that XLA does not leave out.
+    """
+    leaves, structure = jax.tree.flatten(primals)
+    changes = jax.tree.leaves(tangents, is_leaf=lambda leaf: isinstance(leaf, SymbolicZero))
+    moves = [
+        not isinstance(d, SymbolicZero) and jnp.issubdtype(jnp.result_type(x), jnp.inexact)
+        for x, d in zip(leaves, changes, strict=True)
+    ]
+
+    def of_those_that_change(*changing: Any) -> T:
+        rest = iter(changing)
+        every = [next(rest) if m else x for x, m in zip(leaves, moves, strict=True)]
+        return function(*jax.tree.unflatten(structure, every))
+
+    if not any(moves):
+        value = function(*primals)
+        return value, jax.tree.map(jnp.zeros_like, value)
+    chosen = tuple(x for x, m in zip(leaves, moves, strict=True) if m)
+    along = tuple(d for d, m in zip(changes, moves, strict=True) if m)
+    return jax.jvp(of_those_that_change, chosen, along)
 
 
 class Indices:

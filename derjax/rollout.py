@@ -1,6 +1,7 @@
 """Many steps of time, with memory for derivatives that grows like their square root."""
 
 import math
+from collections.abc import Callable
 from functools import partial
 
 import jax
@@ -16,6 +17,9 @@ from .step import Scene, Step
 
 SEGMENTS, TRIES = 32, 32
 """Of steps that adapt, whose product is the most tries that there may be in one frame."""
+
+FULL = 0.1
+"""Of the first length: a step that is shorter is not given up for want of places for contacts."""
 
 
 @pytree
@@ -102,7 +106,9 @@ def _adaptive(scene: Scene, run: _Run, control: Control) -> _Run:
     factor = jnp.where(solved, control.factor(excess), AFTER_FAILURE)
     shorter = length * jnp.minimum(factor, 1.0)
     following = jnp.where(good & (factor >= 1.0), jnp.maximum(proposed, factor * length), shorter)
-    hopeless = (following < control.shortest) | (step.info.status == Status.CAPACITY)
+    # The list of contacts is shorter for a shorter step, but only so much shorter.
+    full = (step.info.status == Status.CAPACITY) & (length < FULL * scene.step_length)
+    hopeless = (following < control.shortest) | full | (step.info.status == Status.OVERLAP)
     reason = jnp.where(solved, Status.TOO_SHORT, step.info.status)
     status = jnp.where(good | ~hopeless, Status.OK, reason)
     new = _taken(run, step, good, status)
@@ -160,38 +166,90 @@ def rollout(
         The state at the end of every frame (a `State` whose leaves have a leading axis f) and
         a `Report`. After a failed step the state no longer changes.
     """
-    control = scene.control
-    if control is None:
+    adapts = scene.control is not None
+    if adapts:
+        n_segments, length = SEGMENTS, TRIES
+    else:
         wanted = max(1, min(steps_per_frame, math.isqrt(n_frames * steps_per_frame)))
         n_segments = math.ceil(steps_per_frame / wanted)
         length = math.ceil(steps_per_frame / n_segments)
-        whole = jnp.array(steps_per_frame, jnp.int32)
-        attempt = partial(_fixed, scene)
-    else:
-        n_segments, length = SEGMENTS, TRIES
-        whole = lax.stop_gradient(steps_per_frame * scene.step_length)
-        attempt = partial(_adaptive, scene, control=control)
-
-    def going(run: _Run) -> Array:
-        return (run.left > 0) & (run.report.status == Status.OK)
 
     @partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names("state"))
     def step(run, _):
-        return lax.cond(going(run), attempt, lambda run: run, run), None
+        return lax.cond(_going(run), partial(_attempt, scene), lambda run: run, run), None
 
     @jax.checkpoint
     def steps(run):
         return lax.scan(step, run, None, length=length)[0]
 
     def segment(run, _):
-        if control is None:
+        if not adapts:
             return steps(run), None
-        return lax.cond(going(run), steps, lambda run: run, run), None
+        return lax.cond(_going(run), steps, lambda run: run, run), None
+
+    def within(run):
+        return lax.scan(segment, run, None, length=n_segments)[0]
+
+    return _frames(scene, state, n_frames, steps_per_frame, report, within)
+
+
+def march(
+    scene: Scene,
+    state: State,
+    n_frames: int,
+    steps_per_frame: int,
+    report: Report | None = None,
+) -> tuple[State, Report]:
+    """`rollout` for runs that need no reverse mode: a frame ends as soon as its steps are taken.
+
+    Under `jax.vmap` a batch of runs ends a frame with the last of them. `rollout` would then
+    take, for every run, as many tries as there may ever be.
+    """
+
+    def within(run):
+        def wanted(carry):
+            count, run = carry
+            return _going(run) & ((scene.control is None) | (count < SEGMENTS * TRIES))
+
+        def step(carry):
+            count, run = carry
+            return count + 1, _attempt(scene, run)
+
+        return lax.while_loop(wanted, step, (jnp.zeros((), jnp.int32), run))[1]
+
+    return _frames(scene, state, n_frames, steps_per_frame, report, within)
+
+
+def _going(run: _Run) -> Array:
+    """Whether there is more to do in a frame."""
+    return (run.left > 0) & (run.report.status == Status.OK)
+
+
+def _attempt(scene: Scene, run: _Run) -> _Run:
+    """One try of a step."""
+    if scene.control is None:
+        return _fixed(scene, run)
+    return _adaptive(scene, run, scene.control)
+
+
+def _frames(
+    scene: Scene,
+    state: State,
+    n_frames: int,
+    steps_per_frame: int,
+    report: Report | None,
+    within: Callable[[_Run], _Run],
+) -> tuple[State, Report]:
+    """The states at the ends of frames; `within` takes the steps of one."""
+    if scene.control is None:
+        whole = jnp.array(steps_per_frame, jnp.int32)
+    else:
+        whole = lax.stop_gradient(steps_per_frame * scene.step_length)
 
     def frame(carry, _):
         state, report = carry
-        run, _ = lax.scan(segment, _Run(state, report, whole), None, length=n_segments)
-        unfinished = going(run)
+        run = within(_Run(state, report, whole))
+        unfinished = _going(run)
         report = replace(
             run.report,
             status=jnp.where(unfinished, Status.TOO_MANY, run.report.status).astype(jnp.int32),

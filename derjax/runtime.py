@@ -6,6 +6,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import jax
+import scipy.linalg  # noqa: F401  (the library that JAX takes its linear algebra from)
 from threadpoolctl import threadpool_limits
 
 SHORTEST_COMPILATION = 0.2
@@ -39,8 +40,9 @@ def enable_compilation_cache() -> Path | None:
 def use_one_blas_thread() -> None:
     """Keep the linear algebra library from starting threads of its own.
 
-    The matrices of a robot are small: threads only wait for each other, and a fit, which
-    simulates its runs in parallel, takes twice the time and more.
+    The matrices of a robot are small: threads only wait for each other, and where the
+    processors have other work too, a step takes ten times as long. Only libraries that have
+    been loaded are reached, so that SciPy's is loaded here.
     """
     threadpool_limits(1, user_api="blas")
 

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .blocks import Layout
 from .control import Control
 from .motor import Motor
 from .neighbours import PENETRATION, pairs_apart
@@ -35,6 +36,7 @@ from .schemes.trbdf2 import trbdf2
 from .segments import distance
 from .step import Scene, Step
 from .terms.bend import Bend
+from .terms.block_stokeslets import BlockStokeslets
 from .terms.contact import Contact
 from .terms.friction import Friction
 from .terms.gravity import Gravity
@@ -95,6 +97,7 @@ def _build(scene: SceneFile, p: dict[str, Array]) -> tuple[Scene, State]:
         step_length=jnp.asarray(scene.time.step),
         scheme=_scheme(scene),
         control=_control(scene, rod),
+        layout=_layout(scene, rod.topology),
     )
     return built, state
 
@@ -189,14 +192,21 @@ def touching_pairs(scene: SceneFile) -> Indices:
         start, end = body.topology.edge_nodes.T
         length = np.linalg.norm(np.asarray(body.nodes)[end] - np.asarray(body.nodes)[start], axis=1)
     pairs = pairs_apart(body.topology, length, np.pi * scene.robot.rod_radius)
-    _check_apart(scene, np.asarray(body.nodes)[body.topology.edge_nodes[pairs.array]])
+    _check_apart(scene, np.asarray(body.nodes)[body.topology.edge_nodes], pairs)
     return pairs
 
 
-def _check_apart(scene: SceneFile, ends: Float[np.ndarray, "p 2 2 3"]) -> None:
+def _check_apart(scene: SceneFile, edges: Float[np.ndarray, "e 2 3"], pairs: Indices) -> None:
     """Refuses a robot whose parts overlap from the start."""
+    middle = edges.mean(axis=1)
+    half = 0.5 * np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)
+    first, second = pairs.array.T
+    apart = np.linalg.norm(middle[first] - middle[second], axis=1) - half[first] - half[second]
+    close = pairs.array[apart < 2 * scene.robot.rod_radius]
+    if len(close) == 0:
+        return
     with jax.ensure_compile_time_eval():
-        nearest = float(distance(jnp.asarray(ends.reshape(-1, 4, 3))).min())
+        nearest = float(distance(jnp.asarray(edges[close].reshape(-1, 4, 3))).min())
     if nearest < (1 - PENETRATION) * 2 * scene.robot.rod_radius:
         raise InputError(
             f"[robot]: two parts of the robot overlap at the start, their centre lines "
@@ -205,8 +215,28 @@ def _check_apart(scene: SceneFile, ends: Float[np.ndarray, "p 2 2 3"]) -> None:
         )
 
 
-def _stokeslets(scene: SceneFile, p: dict[str, Array], rod: Rod) -> StokesletSegments:
+LARGE = 200
+"""Nodes from which on a robot is solved for in blocks, unless the scene file says otherwise."""
+
+BLOCK = 16
+"""Nodes of a block."""
+
+
+def _layout(scene: SceneFile, topology: Topology) -> Layout | None:
+    """The blocks of a robot that is solved for in blocks."""
+    large = topology.n_nodes >= LARGE and scene.in_blocks
+    method = scene.solver.method or ("blocks" if large else "dense")
+    return Layout(topology, BLOCK) if method == "blocks" else None
+
+
+def _stokeslets(
+    scene: SceneFile, p: dict[str, Array], rod: Rod
+) -> StokesletSegments | BlockStokeslets:
     filaments = rod.topology.filaments
+    layout = _layout(scene, rod.topology)
+    if layout is not None:
+        viscosity, regularization = p["viscosity"], p["regularization"]
+        return BlockStokeslets(viscosity, regularization, layout, scene.fluid.end_nodes)
     solved = filaments
     if scene.head_nodes == "dropped":
         solved = (tuple(range(rod.topology.n_nodes)),)
@@ -289,5 +319,6 @@ def _newton(scene: SceneFile, p: dict[str, Array], rod: Rod) -> NewtonSettings:
     return NewtonSettings(
         tolerance=jnp.asarray(scene.solver.tolerance),
         force_scale=force,
+        size=jnp.where(position, 0.0, jnp.pi),
         max_iterations=scene.solver.max_iterations,
     )

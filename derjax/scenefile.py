@@ -79,6 +79,14 @@ class Table(BaseModel):
 Handedness = Literal["left", "right"]
 MOST_FLAGELLA, MOST_ON_A_HEAD = 64, 8
 
+SHORTEST_LINK = 0.05
+"""The least radius of a helix, in edges."""
+
+FINEST = 3.5
+"""The most that the regularization may be, in edges: with more the flow problem, an equation of
+the first kind, has forces at the ends of a flagellum that alternate and grow, and drag that does
+work."""
+
 
 class Robot(Table):
     """[robot] Shape of the robot, in metres.
@@ -147,6 +155,12 @@ class Robot(Table):
 
     @model_validator(mode="after")
     def _slender(self) -> Self:
+        if self.shape == "helix" and self.helix_radius < SHORTEST_LINK * self.edge_length:
+            raise ValueError(
+                f"helix_radius = {self.helix_radius:g}: too small: the edge from the shaft to the "
+                f"helix has that length, and others the edge_length of {self.edge_length:g} m; "
+                "a straight flagellum has shape = 'straight'"
+            )
         if self.shape == "helix" and self.rod_radius >= 0.5 * self.pitch:
             raise ValueError(
                 f"rod_radius = {self.rod_radius:g}: the turns of the helix overlap; "
@@ -340,8 +354,13 @@ class Gravity(Table):
 
 
 class Solver(Table):
-    """[solver] Newton's method: largest scaled residual, and number of iterations."""
+    """[solver] Newton's method: largest scaled residual, and number of iterations.
 
+    `method`: one dense matrix, or blocks along the flagella and an iterative method for what
+    couples them; by default blocks for robots of many nodes, where they can be had.
+    """
+
+    method: Literal["dense", "blocks"] | None = None
     tolerance: Annotated[Positive, Field(lt=1)] = 1e-9
     max_iterations: Count = 40
 
@@ -376,9 +395,20 @@ class SceneFile(Table):
                 f"[fluid] regularization = {self.fluid.regularization:g}: must be less than "
                 f"the [robot] pitch of {robot.pitch:g} m"
             )
+        if self.fluid.hydrodynamics == "rss" and self.fluid.regularization > FINEST * self.edge:
+            raise ValueError(
+                f"[fluid] regularization = {self.fluid.regularization:g}: more than {FINEST:g} "
+                f"times the length of the edges, {self.edge:.3g} m: the drag of the fluid is not "
+                "positive on so fine a mesh; try a larger [robot] edge_length"
+            )
         if len(self.motor.rates) not in (1, robot.count):
             raise ValueError(
                 f"[motor] rpm: {len(self.motor.rates)} rates given for {_flagella(robot.count)}"
+            )
+        if self.solver.method == "blocks" and not self.in_blocks:
+            raise ValueError(
+                "[solver] method = 'blocks': only for an implicit [time] scheme with [fluid] "
+                "drag_matrix = 'symmetric' and head_nodes = 'excluded'"
             )
         if robot.kind == "two_flagella" and self.head.rotation == "spin":
             raise ValueError(
@@ -400,6 +430,23 @@ class SceneFile(Table):
     def contact_method(self) -> Literal["smooth", "spillmann_teschner", "none"]:
         """How rods are kept apart."""
         return self.contact.method or ("smooth" if self.robot.count > 1 else "none")
+
+    @property
+    def edge(self) -> float:
+        """Length of the edges of the flagella, m."""
+        robot = self.robot
+        contour = robot.axial_length
+        if robot.shape == "helix":
+            turn = float(np.hypot(2 * np.pi * robot.helix_radius, robot.pitch))
+            contour *= turn / robot.pitch
+        return contour / max(3, int(contour / robot.edge_length + 1e-9))
+
+    @property
+    def in_blocks(self) -> bool:
+        """Whether the scene can be solved for in blocks."""
+        local = self.fluid.hydrodynamics != "rss"
+        usual = self.fluid.drag_matrix == "symmetric" and self.head_nodes == "excluded"
+        return (local or usual) and self.time.scheme != "explicit"
 
     @property
     def touching(self) -> bool:

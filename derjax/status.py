@@ -15,6 +15,7 @@ class Status(enum.IntEnum):
     CAPACITY = 6
     TOO_SHORT = 7
     TOO_MANY = 8
+    OVERLAP = 9
 
 
 class SolverError(RuntimeError):
@@ -29,6 +30,7 @@ _WHAT = {
     Status.TOO_FAST: "a rod moved farther than the search for contacts looks in one step",
     Status.CAPACITY: "more pairs of edges came close than the list of contacts has places",
     Status.TOO_SHORT: "no step was short enough to meet the tolerance: the motion is not smooth",
+    Status.OVERLAP: "two rods overlap where the step begins",
     Status.TOO_MANY: "a frame needs more steps than a run may take, so short do they have to be",
 }
 
@@ -40,6 +42,7 @@ _TRY = {
     Status.TOO_FAST: "a smaller [time] step, or a slower motor",
     Status.CAPACITY: "a larger [contact] capacity",
     Status.TOO_SHORT: "a larger [time] tolerance; a rod may be snapping, or driven unevenly",
+    Status.OVERLAP: "a start in which they are apart: another separation, phase or shape",
     Status.TOO_MANY: "a shorter [time] frame, a larger [time] tolerance, or a slower motor",
 }
 

@@ -18,12 +18,14 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+from .blocks import Layout
 from .control import Control
 from .motor import Motor
 from .newton import NewtonInfo, NewtonSettings, equilibrium
-from .potential import Dofs, gather
+from .potential import Dofs, Mobility, Potential, gather
 from .pytree import pytree, replace, static
 from .rod import Rod, State, carry_frames
+from .saddle import Saddle, no_drag
 from .status import Status
 from .terms.term import Interval, Outlook, Term
 
@@ -58,6 +60,7 @@ class Scene:
         step_length: s, of a step, or of the first one if steps adapt to the motion.
         scheme: how one step of some length is taken.
         control: how the length of steps adapts; None for steps of one length.
+        layout: the blocks in which a large robot is solved for; None for one dense matrix.
     """
 
     rod: Rod
@@ -67,6 +70,7 @@ class Scene:
     step_length: Float[Array, ""]
     scheme: Callable[["Scene", State, Array], Step] = static()
     control: Control | None = None
+    layout: Layout | None = None
 
 
 def expected_velocity(state: State, ahead: Array) -> Dofs:
@@ -127,7 +131,9 @@ def solve(
         move: (d,) m and rad, expected from the start of the step to the end of the interval.
     """
     topology = scene.rod.topology
-    potential = gather([t.contribution(scene.rod, state, interval) for t in terms])
+    contributions = [t.contribution(scene.rod, state, interval) for t in terms]
+    drag = next((c for c in contributions if isinstance(c, Mobility)), None)
+    potential = gather([c for c in contributions if not isinstance(c, Mobility)])
     if potential.guards:
         move = potential.reach(state.q, move) * move
     guess = state.q + move
@@ -137,11 +143,33 @@ def solve(
     free = None
     if topology.clamped:
         free = tuple(np.setdiff1d(np.arange(topology.n_dofs), topology.clamped).tolist())
-    q, info = equilibrium(potential, guess, scene.newton, free)
+    if scene.layout is None:
+        q, info = equilibrium(potential, guess, scene.newton, free)
+    else:
+        q, info = _in_blocks(scene, scene.layout, potential, drag, guess)
     if potential.guards:
-        fault = potential.fault(lax.stop_gradient(q))
-        info = replace(info, status=jnp.where(info.status == Status.OK, fault, info.status))
+        fault, before = (potential.fault(lax.stop_gradient(x)) for x in (q, state.q))
+        status = jnp.where(info.status == Status.OK, fault, info.status)
+        overlap = (status != Status.OK) & (before == Status.PENETRATION)
+        status = jnp.where(overlap, Status.OVERLAP, status).astype(jnp.int32)
+        info = replace(info, status=status)
     return q, info
+
+
+def _in_blocks(
+    scene: Scene, layout: Layout, potential: Potential, drag: Mobility | None, guess: Dofs
+) -> tuple[Dofs, NewtonInfo]:
+    """The end of an interval of a large robot."""
+    topology = scene.rod.topology
+    free = np.ones(topology.n_dofs)
+    free[list(topology.clamped)] = 0.0
+    scale = lax.stop_gradient(scene.newton.force_scale)
+    saddle = Saddle(potential, drag or no_drag(layout), layout, guess, jnp.asarray(free), scale)
+    dry = jnp.broadcast_to(jnp.asarray(scene.newton.size), guess.shape)
+    size = saddle.join(dry, jnp.zeros(saddle.drag.dofs.array.size))
+    settings = replace(scene.newton, force_scale=saddle.scales, size=size)
+    z, info = equilibrium(saddle, saddle.start(guess), settings, None)
+    return saddle.split(z)[0], info
 
 
 def at_end(

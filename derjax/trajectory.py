@@ -197,8 +197,7 @@ def _bundle(file: SceneFile, scene: Scene, nodes: np.ndarray) -> dict[str, tuple
             ),
         }
     if contact is not None:
-        pairs = topology.edge_nodes[contact.pairs.array].reshape(-1, 4)
-        forces = np.asarray(bundling.contact_forces(contact, pairs, nodes))
+        forces = np.asarray(bundling.contact_forces(contact, topology, nodes))
         variables |= {
             "contact_count": _variable(
                 "time", (forces > 0).sum(axis=1), "1", "pairs of edges that touch"

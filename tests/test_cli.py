@@ -277,6 +277,7 @@ def test_new_writes_files_that_work(tmp_path, capsys):
     assert {path.name for path in directory.iterdir()} == {
         "scene.toml",
         "two_flagella.toml",
+        "sweep.toml",
         "motor.csv",
         "dataset.toml",
         "track.csv",

@@ -9,7 +9,14 @@ from ..scenefile import InputError
 
 HELP = "write a commented example scene, motor table and dataset"
 
-FILES = ("scene.toml", "two_flagella.toml", "motor.csv", "dataset.toml", "track.csv")
+FILES = (
+    "scene.toml",
+    "two_flagella.toml",
+    "sweep.toml",
+    "motor.csv",
+    "dataset.toml",
+    "track.csv",
+)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from ..potential import Load
+from ..potential import Load, Mobility
 from ..pytree import pytree
 from ..rod import Rod, State
 from .term import Interval, Outlook, Term
@@ -24,4 +24,5 @@ class Lagged(Term):
 
     def contribution(self, rod: Rod, state: State, interval: Interval) -> Load:
         drag = self.drag.contribution(rod, state, interval)
+        assert not isinstance(drag, Mobility)  # which schemes with explicit drag do not have
         return Load(-drag.gradient(state.q + interval.length * state.velocity))

@@ -11,16 +11,18 @@ R(a)^2 = |x0 + a v|^2 + eps^2 and the moments T_mq = int_0^1 a^m R^-q da,
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from ..potential import Quadratic
-from ..pytree import Indices, pytree, replace, static
+from ..pytree import Indices, push, pytree, replace, static
 from ..rod import Rod, State, positions
 from .term import Interval, Outlook, Term
 
@@ -377,13 +379,14 @@ def _solver(product: Callable[..., Array], apply: Callable[[Array, Array], Array
     def solve(segments: StokesletSegments, x: Array, inverse: Array, b: Array) -> Array:
         return apply(inverse, b)
 
-    @solve.defjvp
+    @partial(solve.defjvp, symbolic_zeros=True)
     def solve_jvp(primals, tangents):
         segments, x, inverse, _ = primals
         d_segments, d_x, _, d_b = tangents
         force = solve(*primals)
-        _, d_flow = jax.jvp(lambda s, x: product(s, x, force), (segments, x), (d_segments, d_x))
-        return force, solve(segments, x, inverse, d_b - d_flow)
+        _, d_flow = push(lambda s, x: product(s, x, force), (segments, x), (d_segments, d_x))
+        change = -d_flow if isinstance(d_b, SymbolicZero) else d_b - d_flow
+        return force, solve(segments, x, inverse, change)
 
     return solve
 

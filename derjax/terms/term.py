@@ -2,7 +2,7 @@
 
 from jaxtyping import Array, Float
 
-from ..potential import Contribution
+from ..potential import Contribution, Mobility
 from ..pytree import pytree
 from ..rod import Rod, State
 
@@ -60,6 +60,6 @@ class Term:
         """
         return self
 
-    def contribution(self, rod: Rod, state: State, interval: Interval) -> Contribution:
+    def contribution(self, rod: Rod, state: State, interval: Interval) -> Contribution | Mobility:
         """The term's share of the incremental potential of an interval of that step."""
         raise NotImplementedError

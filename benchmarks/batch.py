@@ -1,0 +1,140 @@
+"""How many runs a second a batch makes, on one device and on two.
+
+    python -m benchmarks.batch [-o docs/figures] [--end 4] [--rounds 3]
+
+The default robot (30 nodes) in steps that adapt, with motors of 20 to 100 rpm and other drag
+prefactors: 32 single runs one after another with one compiled program, and the same runs, or some
+of them, in batches. A device is a processor. Ratios are of wall times, of the same runs, measured
+in turn in one process; the best of some rounds. Batches of 8 also as lanes of one `vmap`. Writes
+batch.csv, .md and .png.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+
+import derjax
+from derjax.batch import ALL, advance, build_many, spread
+from derjax.runtime import enable_compilation_cache, use_one_blas_thread
+from derjax.scenefile import SceneFile
+
+from .tables import write
+
+RUNS = 32
+RATES = np.linspace(20.0, 100.0, RUNS)
+PREFACTORS = np.linspace(4.0, 6.0, RUNS)[::-1]
+BATCHES = ((1, 1), (4, 1), (8, 1), (32, 1), (8, 4), (8, ALL))
+"""Numbers of runs, and of lanes: how many a device takes at once."""
+DEVICES = (1, 2)
+
+
+def seconds(program: Callable[[], object]) -> float:
+    """Wall time of a program."""
+    began = time.perf_counter()
+    jax.block_until_ready(program())
+    return time.perf_counter() - began
+
+
+def measure(end: float, rounds: int) -> list[dict[str, object]]:
+    """A row for each batch, on the devices of this process."""
+    file = SceneFile.model_validate({"time": {"end": end}})
+    n_frames, steps = file.time.n_frames, file.time.steps_per_frame
+    march = jax.jit(derjax.march, static_argnums=(2, 3))
+
+    def single(k: int) -> Callable[[], object]:
+        numbers = {"rpm": RATES[k], "C_t": PREFACTORS[k]}
+        return lambda: march(*derjax.build(file, numbers), n_frames, steps)
+
+    def together(runs: np.ndarray, lanes: int) -> Callable[[], object]:
+        numbers = {"rpm": RATES[runs], "C_t": PREFACTORS[runs]}
+        return lambda: advance(spread(*build_many(file, numbers)), n_frames, steps, lanes)[1]
+
+    chosen = {size: np.linspace(0, RUNS - 1, size).round().astype(int) for size, _ in BATCHES}
+    chosen[1] = np.array([RUNS // 2])
+    programs = {key: together(chosen[key[0]], key[1]) for key in BATCHES}
+    for program in [single(0), *programs.values()]:
+        seconds(program)  # compiles
+    alone = np.full(RUNS, np.inf)
+    best = dict.fromkeys(programs, np.inf)
+    for _ in range(rounds):
+        alone = np.minimum(alone, [seconds(single(k)) for k in range(RUNS)])
+        for key, program in programs.items():
+            best[key] = min(best[key], seconds(program))
+    rows: list[dict[str, object]] = []
+    for (size, lanes), spent in best.items():
+        rows.append(
+            {
+                "devices": jax.device_count(),
+                "runs": size,
+                "lanes": "all" if lanes == ALL else str(lanes),
+                "runs_per_s": size / spent,
+                "single_runs_per_s": size / alone[chosen[size]].sum(),
+                "ratio": alone[chosen[size]].sum() / spent,
+            }
+        )
+    return rows
+
+
+def measure_with(devices: int, end: float, rounds: int) -> list[dict[str, object]]:
+    """`measure` in a process with so many devices."""
+    command = [sys.executable, "-m", "benchmarks.batch", "--rows"]
+    done = subprocess.run(
+        [*command, "--end", str(end), "--rounds", str(rounds)],
+        env={**os.environ, "JAX_NUM_CPU_DEVICES": str(devices)},
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def figure(table: pd.DataFrame) -> plt.Figure:
+    """Throughput over that of single runs, against the size of the batch."""
+    fig, axes = plt.subplots(figsize=(7, 4))
+    for (devices, lanes), rows in table.groupby(["devices", "lanes"], sort=False):
+        label = f"{devices} device{'s' * (devices > 1)}, lanes: {lanes}"
+        axes.plot(rows["runs"], rows["ratio"], "o-", label=label)
+    axes.axhline(1.0, color="0.3", lw=0.8)
+    axes.set(xscale="log", xlabel="runs in the batch", ylabel="throughput / that of single runs")
+    axes.set_xticks([1, 4, 8, 32], ["1", "4", "8", "32"])
+    axes.set_ylim(bottom=0)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8)
+    fig.tight_layout()
+    return fig
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
+    parser.add_argument("--end", type=float, default=4.0, help="simulated seconds of a run")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--rows", action="store_true", help="only print rows, for this process")
+    arguments = parser.parse_args()
+    enable_compilation_cache()
+    use_one_blas_thread()
+    if arguments.rows:
+        print(json.dumps(measure(arguments.end, arguments.rounds)))
+        return
+    rows = []
+    for devices in DEVICES:
+        rows += measure_with(devices, arguments.end, arguments.rounds)
+    table = pd.DataFrame(rows)
+    formats = {"devices": "d", "runs": "d", "lanes": "", "runs_per_s": ".3g", "ratio": ".2f"}
+    write(table, arguments.output / "batch.csv", formats)
+    figure(table).savefig(arguments.output / "batch.png", dpi=150)
+    print((arguments.output / "batch.md").read_text(encoding="utf-8"))
+
+
+if __name__ == "__main__":
+    main()

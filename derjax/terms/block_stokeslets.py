@@ -1,0 +1,266 @@
+"""Regularized Stokeslet segments for large robots: exact nearby, points far away, never inverted.
+
+The mobility A of `stokeslets` is taken apart by blocks of some nodes in a row:
+
+- within a block it is the inverse of the symmetric part of A^-1, as `drag_matrix = "symmetric"`
+  has it for a whole robot;
+- between the pairs of blocks that are closest, and always between neighbours on a filament, it is
+  A with its transpose, averaged;
+- between all others nodes act as points, with the same blob,
+
+      8 pi mu u = ((r^2 + 2 eps^2) f + (f . r) r) / (r^2 + eps^2)^(3/2)
+
+  (Cortez, Fauci & Medovikov, Phys. Fluids 17, 031504, 2005), which leaves out a part (h / r)^2 / 24
+  of what two segments of length h at a distance r do to each other.
+
+It is only ever multiplied with forces: memory is in proportion to the number of nodes, and time
+to its square, but with the few operations that a pair of points takes.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from ..blocks import Layout
+from ..potential import Mobility
+from ..pytree import Indices, pytree, static
+from ..rod import Rod, State, positions
+from .stokeslets import segment_kernels
+from .term import Interval, Outlook, Term
+
+NEAR = 6
+"""Pairs of blocks that are treated segment by segment, per block."""
+
+_AWAY = 1e3
+"""m, where nodes and segments stand that are not there: out of reach of any robot."""
+
+
+@pytree
+class Places:
+    """Where the nodes of every block are, and the one before and after. Hashable.
+
+    Attributes:
+        nodes: (b, m) nodes of every block; -1 where a filament is at its end.
+        around: (b, m + 2) those, the node before and the node after; -1 where there is none.
+        wet: (n_wet,) all nodes, in order.
+    """
+
+    nodes: Indices = static()
+    around: Indices = static()
+    wet: Indices = static()
+
+
+def places(layout: Layout) -> Places:
+    """The nodes of the blocks of a layout."""
+    nodes = layout.nodes
+    along = np.pad(nodes.reshape(len(nodes), -1), ((0, 0), (1, 1)), constant_values=-1)
+    starts = np.arange(nodes.shape[1]) * layout.size
+    around = along[:, starts[:, None] + np.arange(layout.size + 2)]
+    flat = nodes.reshape(-1, layout.size)
+    return Places(Indices(flat), Indices(around.reshape(len(flat), -1)), Indices(flat[flat >= 0]))
+
+
+@pytree
+class BlockStokeslets(Term):
+    """`Phi = 1/2 v . A^-1 v`: non-local drag of all filaments on each other, by blocks.
+
+    Attributes:
+        viscosity: Pa s.
+        regularization: eps, m.
+        layout: the blocks.
+        end_nodes: "half" or "full"; see `stokeslets.mobility`.
+    """
+
+    viscosity: Float[Array, ""]
+    regularization: Float[Array, ""]
+    layout: Layout = static()
+    end_nodes: str = static(default="half")
+
+    def prepared(self, rod: Rod, state: State, outlook: Outlook) -> "SettledBlocks":
+        x = positions(rod.topology, outlook.configuration)
+        return SettledBlocks(self, block_mobility(self, x))
+
+    def contribution(self, rod: Rod, state: State, interval: Interval) -> Mobility:
+        here = Outlook(state.q, jnp.zeros_like(state.q))
+        return self.prepared(rod, state, here).contribution(rod, state, interval)
+
+
+@pytree
+class SettledBlocks(Term):
+    """The drag of `BlockStokeslets` at the configuration of one interval."""
+
+    segments: BlockStokeslets
+    mobility: "BlockMobility"
+
+    def contribution(self, rod: Rod, state: State, interval: Interval) -> Mobility:
+        where = places(self.segments.layout)
+        dofs = Indices(rod.topology.node_dofs(where.wet.array).ravel())
+        return Mobility(dofs, self.mobility, interval.origin_from(state), interval.length)
+
+
+@pytree
+class BlockMobility:
+    """A linear map of forces on all wet nodes (N) to their velocities (m/s), by blocks.
+
+    Attributes:
+        layout: the blocks.
+        own: (b, 3m, 3m) of every block on itself, m/(N s).
+        resistance: (b, 3m, 3m) its inverse, N s/m; zero for nodes that are not there.
+        pairs: (p, 2) blocks that are close.
+        between: (p, 3m, 3m) of the second on the first, m/(N s).
+        x: (b, m, 3) m, the nodes, far away where there is none.
+        viscosity: Pa s.
+        regularization: m.
+    """
+
+    layout: Layout = static()
+    own: Float[Array, "b k k"]
+    resistance: Float[Array, "b k k"]
+    pairs: Int[Array, "p 2"]
+    between: Float[Array, "p k k"]
+    x: Float[Array, "b m 3"]
+    viscosity: Float[Array, ""]
+    regularization: Float[Array, ""]
+
+    @property
+    def _there(self) -> np.ndarray:
+        """(b, m) where there is a node."""
+        return self.layout.nodes.reshape(-1, self.layout.size) >= 0
+
+    def blocks(self, vector: Float[Array, " w"]) -> Float[Array, "b k"]:
+        """A vector over the wet nodes in blocks, zero where there is no node."""
+        number = np.where(self._there, np.cumsum(self._there).reshape(self._there.shape) - 1, -1)
+        return jnp.pad(vector.reshape(-1, 3), ((0, 1), (0, 0)))[number].reshape(len(number), -1)
+
+    def flat(self, blocks: Float[Array, "b k"]) -> Float[Array, " w"]:
+        """And back."""
+        return blocks.reshape(*self._there.shape, 3)[np.nonzero(self._there)].ravel()
+
+    def resist(self, velocity: Float[Array, " w"]) -> Float[Array, " w"]:
+        """The forces (N) that move every block as if it were alone (m/s)."""
+        return self.flat(jnp.einsum("bij,bj->bi", self.resistance, self.blocks(velocity)))
+
+    def apply(self, force: Float[Array, " w"]) -> Float[Array, " w"]:
+        """The velocities (m/s) for forces (N)."""
+        f = self.blocks(force)
+        first, second = self.pairs.T
+        u = jnp.einsum("bij,bj->bi", self.own, f)
+        u = u.at[first].add(jnp.einsum("pij,pj->pi", self.between, f[second]))
+        u = u.at[second].add(jnp.einsum("pij,pi->pj", self.between, f[first]))
+        return self.flat(u + self._far(f))
+
+    def _far(self, f: Float[Array, "b k"]) -> Float[Array, "b k"]:
+        """Velocities for forces on all blocks but those that are close."""
+        n_blocks, m = self._there.shape
+        far = 1.0 - jnp.eye(n_blocks)
+        first, second = self.pairs.T
+        far = far.at[first, second].set(0.0).at[second, first].set(0.0)
+        source, force = self.x.reshape(-1, 3), f.reshape(-1, 3)
+        eps2 = self.regularization**2
+
+        def on(given):
+            targets, felt = given
+            rx, ry, rz = targets.T[:, :, None] - source.T[:, None, :]
+            squared = rx * rx + ry * ry + rz * rz + eps2
+            inverse = lax.rsqrt(squared)
+            cubed = inverse**3 * jnp.repeat(felt, m, total_repeat_length=n_blocks * m)
+            along = (rx * force[:, 0] + ry * force[:, 1] + rz * force[:, 2]) * cubed
+            # The sum of (f . r) r as matrix products: r is the target less the source.
+            pulled = jnp.sum(along, axis=1)[:, None] * targets - along @ source
+            return ((squared + eps2) * cubed) @ force + pulled
+
+        u = lax.map(on, (self.x, far)) / (8.0 * jnp.pi * self.viscosity)
+        return (u * self._there[:, :, None]).reshape(n_blocks, -1)
+
+
+def block_mobility(segments: BlockStokeslets, x: Float[Array, "n 3"]) -> BlockMobility:
+    """The mobility for nodes at `x` (m)."""
+    where = places(segments.layout)
+    around, nodes = where.around.array, where.nodes.array
+    there = np.repeat(nodes >= 0, 3, axis=1).astype(float)
+    present = there[:, :, None] * there[:, None, :]
+    absent = np.eye(there.shape[1]) * (1.0 - there)[:, None, :]
+    # Nodes that are not there stand aside, away from everything and from each other.
+    aside = _AWAY * np.array([1.0, 0.0, 0.0]) * (1 + np.arange(around.size))[:, None]
+    extended = jnp.where((around < 0)[..., None], aside.reshape(*around.shape, 3), x[around])
+    kernel = partial(_block, segments)
+    linked = jnp.asarray((around[:, 1:] >= 0) & (around[:, :-1] >= 0), float)
+
+    own = jax.vmap(kernel)(extended[:, 1:-1], extended, linked)
+    own = own * present + absent
+    inverse = jnp.linalg.inv(own)
+    resistance = 0.5 * (inverse + jnp.swapaxes(inverse, 1, 2))
+    own = jnp.linalg.inv(resistance)
+
+    pairs = _close_pairs(segments.layout, lax.stop_gradient(extended[:, 1:-1]), nodes >= 0)
+    first, second = pairs.T
+    there_and_back = jax.vmap(
+        lambda a, b: (
+            0.5
+            * (
+                kernel(extended[a, 1:-1], extended[b], linked[b])
+                + kernel(extended[b, 1:-1], extended[a], linked[a]).T
+            )
+        )
+    )
+    between = lax.map(lambda p: there_and_back(p[0][None], p[1][None])[0], (first, second))
+    known = jnp.asarray(there)
+    between = between * known[first][:, :, None] * known[second][:, None, :]
+    return BlockMobility(
+        segments.layout,
+        own * present,
+        resistance * present,
+        pairs,
+        between,
+        extended[:, 1:-1],
+        segments.viscosity,
+        segments.regularization,
+    )
+
+
+def _block(
+    segments: BlockStokeslets,
+    targets: Float[Array, "m 3"],
+    around: Float[Array, "m+2 3"],
+    linked: Float[Array, " m+1"],
+) -> Float[Array, "3m 3m"]:
+    """Mobility of the forces on the nodes of one block at some targets, m/(N s)."""
+    there = linked[:, None] > 0.0
+    starts = jnp.where(there, around[:-1], _AWAY * np.array([0.0, 1.0, 0.0]))
+    ends = jnp.where(there, around[1:], _AWAY * np.array([0.0, 1.0, 0.1]))
+    m1, m2 = segment_kernels(targets, starts, ends, segments.regularization)
+    m1, m2 = linked * m1, linked * m2
+    if segments.end_nodes == "half":
+        edge = ends - starts
+        length = linked * jnp.sqrt(jnp.sum(edge * edge, axis=1))
+        stands_for = 0.5 * (length[:-1] + length[1:])
+        stands_for = jnp.where(stands_for > 0.0, stands_for, 1.0)
+        columns = (length[:-1] * m2[..., :-1] + length[1:] * m1[..., 1:]) / stands_for
+    else:
+        columns = m2[..., :-1] + m1[..., 1:]
+    size = targets.size
+    matrix = columns.transpose(2, 0, 3, 1).reshape(size, size)
+    return matrix / (8.0 * jnp.pi * segments.viscosity)
+
+
+def _close_pairs(layout: Layout, x: Float[Array, "b m 3"], there: np.ndarray) -> Int[Array, "p 2"]:
+    """The pairs of blocks that are closest, neighbours on a filament first."""
+    n_blocks = len(there)
+    first, second = np.triu_indices(n_blocks, 1)
+    if len(first) == 0:
+        return jnp.zeros((0, 2), jnp.int32)
+    weight = jnp.asarray(there / np.maximum(there.sum(1, keepdims=True), 1))
+    known = jnp.where(there[..., None], x, 0.0)
+    centre = jnp.sum(weight[..., None] * known, axis=1)
+    away = jnp.where(there, jnp.sqrt(jnp.sum((known - centre[:, None]) ** 2, axis=-1)), 0.0)
+    radius = jnp.max(away, axis=1)
+    apart = jnp.sqrt(jnp.sum((centre[first] - centre[second]) ** 2, axis=-1))
+    gap = apart - radius[first] - radius[second]
+    per_filament = layout.nodes.shape[1]
+    chained = (second == first + 1) & (first // per_filament == second // per_filament)
+    _, chosen = lax.top_k(jnp.where(chained, jnp.inf, -gap), min(NEAR * n_blocks, len(first)))
+    return jnp.stack([jnp.asarray(first)[chosen], jnp.asarray(second)[chosen]], axis=1)

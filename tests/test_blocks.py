@@ -1,0 +1,244 @@
+"""Large robots in blocks: the same physics as with one dense matrix, in linear memory."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import finite_difference_jvp, perturbed
+
+from derjax import Scene, SceneFile, State, build, march, positions, rollout
+from derjax import neighbours as neighbourhood
+from derjax.blocks import Layout, multiply
+from derjax.potential import Mobility, gather
+from derjax.pytree import Indices, replace
+from derjax.rollout import new_report
+from derjax.saddle import Saddle, no_drag
+from derjax.step import prepare
+from derjax.terms import Interval, StokesletSegments
+from derjax.terms.block_stokeslets import BlockStokeslets
+from derjax.terms.stokeslets import mobility
+
+BLOCK = 4
+ROBOTS: dict[str, dict[str, Any]] = {
+    "single_flagellum": {"edge_length": 13e-3},
+    "two_flagella": {"kind": "two_flagella", "edge_length": 18e-3},
+    "branched": {"kind": "branched", "n_flagella": 3, "edge_length": 18e-3},
+    "clamped": {"kind": "clamped", "n_flagella": 2, "edge_length": 16e-3},
+}
+every_robot = pytest.mark.parametrize("name", ROBOTS)
+
+
+def both(name: str, **tables: Any) -> tuple[Scene, Scene, State]:
+    """A small robot solved for with one matrix and in blocks of few nodes, and its start."""
+    tables = {"time": {"step": 0.02, "end": 0.2}, "contact": {"method": "none"}} | tables
+    file = SceneFile.model_validate({"robot": ROBOTS[name], **tables})
+    scene, state = build(file)
+    return scene, in_blocks(scene), state
+
+
+def in_blocks(scene: Scene) -> Scene:
+    layout = Layout(scene.rod.topology, BLOCK)
+    terms = [
+        BlockStokeslets(t.viscosity, t.regularization, layout, t.end_nodes)
+        if isinstance(t, StokesletSegments)
+        else t
+        for t in scene.terms
+    ]
+    return replace(scene, terms=tuple(terms), layout=layout)
+
+
+def saddle_of(scene: Scene, state: State) -> Saddle:
+    """The equations of a step of implicit Euler from a state."""
+    h, topology = scene.step_length, scene.rod.topology
+    assert scene.layout is not None
+    terms = prepare(scene, state, h, h)
+    parts = [t.contribution(scene.rod, state, Interval(h, state.motor_angle)) for t in terms]
+    drag = next((c for c in parts if isinstance(c, Mobility)), None)
+    free = np.ones(topology.n_dofs)
+    free[list(topology.clamped)] = 0.0
+    return Saddle(
+        potential=gather([c for c in parts if c is not drag]),
+        drag=drag or no_drag(scene.layout),
+        layout=scene.layout,
+        held=state.q,
+        free=jnp.asarray(free),
+        scale=scene.newton.force_scale,
+    )
+
+
+@every_robot
+def test_every_degree_of_freedom_stands_in_one_place(name):
+    _, scene, _ = both(name)
+    layout = scene.layout
+    assert layout is not None
+    d = layout.topology.n_dofs
+    inside = layout.dofs[layout.dofs < d]
+    assert sorted([*inside, *layout.border]) == list(range(d))
+    q = jnp.arange(1.0, d + 1.0)
+    np.testing.assert_array_equal(layout.scatter(layout.gather(q), q[layout.border]), q)
+
+
+@every_robot
+def test_rods_couple_neighbours_only_so_that_the_factor_is_exact(name, rng):
+    """Without the fluid: elasticity, the head and inertia are all in the pattern."""
+    _, scene, rest = both(name, fluid={"hydrodynamics": "rft"})
+    state = perturbed(scene.rod, rest, rng, 1e-3)
+    free = np.ones(state.q.size)
+    free[list(scene.rod.topology.clamped)] = 0.0
+
+    @jax.jit
+    def there_and_back(x: jax.Array) -> jax.Array:
+        saddle = saddle_of(scene, state)
+        z = saddle.start(state.q)
+        factor, _ = saddle.factored(z, jnp.abs(z), None, exact=True)
+        return factor.near.solve(multiply(factor.matrices, x) + factor.diagonal * x)
+
+    x = free * rng.standard_normal(state.q.size)
+    moves = free > 0
+    np.testing.assert_allclose(there_and_back(jnp.asarray(x))[moves], x[moves], atol=1e-6)
+
+
+@every_robot
+def test_the_mobility_is_that_of_the_whole_robot(name, rng):
+    """Close to the dense one, and exactly symmetric."""
+    dense, scene, state = both(name)
+    (drag,) = (t for t in scene.terms if isinstance(t, BlockStokeslets))
+    (segments,) = (t for t in dense.terms if isinstance(t, StokesletSegments))
+    x = positions(scene.rod.topology, state.q)
+    paths = tuple(x[np.array(p)] for p in segments.solved)
+
+    @jax.jit
+    def products(f: jax.Array, g: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        interval = Interval(scene.step_length, state.motor_angle)
+        law = drag.contribution(scene.rod, state, interval).law
+        a = mobility(paths, drag.viscosity, drag.regularization, drag.end_nodes)
+        inverse = jnp.linalg.inv(a)
+        return law.apply(f), law.apply(g), jnp.linalg.solve(0.5 * (inverse + inverse.T), f)
+
+    size = sum(3 * len(p) for p in paths)
+    f, g = rng.standard_normal((2, size))
+    af, ag, exact = (np.asarray(v) for v in products(f, g))
+    assert f @ ag == pytest.approx(g @ af, rel=1e-12)
+    assert np.linalg.norm(af - exact) < 4e-3 * np.linalg.norm(exact)  # edges of 13 to 18 mm
+
+
+@every_robot
+def test_linear_systems_are_solved_both_ways(name, rng):
+    _, scene, rest = both(name)
+    state = perturbed(scene.rod, rest, rng, 1e-3)
+
+    @jax.jit
+    def check(state: State, c: jax.Array) -> tuple[jax.Array, jax.Array]:
+        saddle = saddle_of(scene, state)
+        z = saddle.start(state.q)
+        factor, _ = saddle.factored(z, jnp.abs(z), None, exact=True)
+        _, product = jax.jvp(saddle.gradient, (z,), (factor.solve(c),))
+        _, transpose = jax.vjp(saddle.gradient, z)
+        (transposed,) = transpose(factor.solve_transposed(c))
+        return product, transposed
+
+    size = state.q.size + sum(3 * len(p) for p in scene.rod.topology.filaments)
+    c = jnp.asarray(rng.standard_normal(size))
+    scales = np.concatenate([scene.newton.force_scale, np.full(size - state.q.size, 1.0)])
+    for found in check(state, c * scales):
+        np.testing.assert_allclose(found / scales, c, rtol=1e-6, atol=1e-6)
+
+
+run = jax.jit(march, static_argnums=(2, 3))
+
+
+@every_robot
+def test_runs_agree_with_those_of_one_dense_matrix(name):
+    dense, scene, state = both(name)
+    (expected, _), (found, report) = (run(s, state, 1, 8, new_report()) for s in (dense, scene))
+    report.raise_if_failed()
+    n = 3 * scene.rod.topology.n_nodes
+    moved = np.abs(expected.q[0] - state.q)[:n].max()
+    assert np.abs(found.q - expected.q)[0, :n].max() < 5e-3 * moved
+
+
+def test_without_stokeslets_blocks_and_matrix_agree_to_the_tolerance():
+    """Resistive drag, a scene with contacts: nothing is left out."""
+    tables = {"fluid": {"hydrodynamics": "rft"}, "contact": {"method": "smooth"}}
+    dense, scene, state = both("clamped", **tables)
+    (expected, _), (found, report) = (run(s, state, 1, 8, new_report()) for s in (dense, scene))
+    report.raise_if_failed()
+    np.testing.assert_allclose(found.q, expected.q, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", ["single_flagellum", "clamped"])
+def test_derivatives_of_runs_in_blocks(name):
+    """Forward, reverse and differences; the rate of the motor moves held degrees of freedom."""
+    tables = {"time": {"step": 0.02, "end": 0.2}, "contact": {"method": "none"}}
+    tables["solver"] = {"tolerance": 1e-12}
+    file = SceneFile.model_validate({"robot": ROBOTS[name], **tables})
+
+    @jax.jit
+    def end(p: jax.Array) -> jax.Array:
+        viscosity, rpm, radius = p * jnp.array([1.0, 60.0, 6.4e-3])
+        numbers = {"viscosity": viscosity, "rpm": rpm, "helix_radius": radius}
+        scene, state = build(file, numbers)
+        states, _ = rollout(in_blocks(scene), state, 1, 3)
+        return 1e3 * states.q[-1]
+
+    at, along = jnp.ones(3), jnp.array([0.3, -0.5, 0.2])
+    _, forward = jax.jvp(end, (at,), (along,))
+    difference = finite_difference_jvp(end, at, along, 1e-3)
+    assert np.linalg.norm(forward - difference) < 1e-6 * np.linalg.norm(difference)
+    weights = jnp.cos(jnp.arange(forward.size))
+    reverse = jax.grad(lambda p: weights @ end(p))(at) @ along
+    assert float(reverse) == pytest.approx(float(weights @ forward), rel=1e-8)
+
+
+def test_memory_grows_with_the_number_of_nodes_and_no_faster():
+    """The memory that one compiled step asks for, from 2 to 8 flagella of 30 nodes."""
+    sizes = []
+    for n_flagella in (4, 16):
+        file = SceneFile.model_validate(
+            {
+                "robot": {"kind": "clamped", "n_flagella": n_flagella},
+                "time": {"step": 0.02, "end": 0.2},
+                "solver": {"method": "blocks"},
+                "contact": {"method": "none"},
+            }
+        )
+        scene, state = build(file)
+        compiled = run.lower(scene, state, 1, 1, new_report()).compile()
+        sizes.append(compiled.memory_analysis().temp_size_in_bytes)
+    assert np.log(sizes[1] / sizes[0]) / np.log(4) < 1.2
+
+
+def test_groups_of_edges_find_what_all_pairs_find(rng, monkeypatch):
+    """Random rods, in a list that is long enough and in one that is not."""
+    _, scene, rest = both("branched")
+    topology = scene.rod.topology
+    first, second = np.triu_indices(topology.n_edges, 2)
+    pairs = Indices(np.stack([first, second], axis=1))
+    for size in (0.3, 1.0):
+        state = perturbed(scene.rod, rest, rng, size)
+        x = positions(topology, state.q)
+        lists = {}
+        for many in (10**9, 0):
+            monkeypatch.setattr(neighbourhood, "MANY", many)
+            monkeypatch.setattr(neighbourhood, "CLOSE_GROUPS", 100)
+            edges, found = neighbourhood.closest(topology, x, pairs, jnp.array(0.02), 400)
+            assert 0 < found <= 400
+            lists[many] = {tuple(e) for e in np.asarray(edges)[: int(found)].tolist()}
+        assert lists[0] == lists[10**9]
+        monkeypatch.setattr(neighbourhood, "CLOSE_GROUPS", 1)
+        assert neighbourhood.closest(topology, x, pairs, jnp.array(0.02), 400)[1] > 400
+
+
+def test_large_robots_are_solved_for_in_blocks_unless_told_otherwise():
+    robot = {"kind": "clamped", "n_flagella": 8}
+    tables = {"robot": robot, "contact": {"method": "none"}}
+    assert build(SceneFile.model_validate(tables))[0].layout is not None
+    dense = {**tables, "solver": {"method": "dense"}}
+    assert build(SceneFile.model_validate(dense))[0].layout is None
+    assert build(SceneFile())[0].layout is None
+    with pytest.raises(ValueError, match=r"\[solver\] method"):
+        SceneFile.model_validate(
+            {"solver": {"method": "blocks"}, "fluid": {"drag_matrix": "collocation"}}
+        )

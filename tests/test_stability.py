@@ -1,0 +1,81 @@
+"""Extreme robots with the default scheme: a run is completed, or stops with a message.
+
+The whole map is made by `benchmarks/stability.py`.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from derjax import Report, Scene, SceneFile, State, Status, build
+from derjax.pytree import replace
+from derjax.rollout import march
+from derjax.scenefile import MotorTable
+
+TINY = SceneFile.model_validate({"robot": {"edge_length": 0.03}})
+DRIVEN = TINY.model_copy(
+    update={"motor_table": MotorTable(time=(0, 0.25, 0.2501, 1), rpm=(0,) * 4)}
+)
+
+
+@jax.jit
+def half_a_second(scene: Scene, state: State) -> tuple[State, Report]:
+    """Five frames of two steps of the first length."""
+    states, report = march(scene, state, 5, 2)
+    return jax.tree.map(lambda leaf: leaf[-1], states), report
+
+
+def check(state: State, report: Report) -> None:
+    """The run was completed, or stopped where all was well, with a message."""
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(state))
+    if report.ok:
+        assert float(state.time) == pytest.approx(0.5)
+    else:
+        assert Status(int(report.status)) is not Status.OK
+        assert "failed" in report.message()
+        assert float(state.time) == pytest.approx(float(report.failed_at))
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        {"youngs_modulus": 1e4},
+        {"youngs_modulus": 1e10},
+        {"viscosity": 1e-3},
+        {"viscosity": 1e3},
+        {"rpm": 1.0},
+        {"rpm": 2000.0},
+        {"rpm": -2000.0, "viscosity": 1e3},
+        {"rod_radius": 1e-4},
+        {"rod_radius": 2e-2},
+        {"regularization": 1e-6},
+        {"regularization": 4e-2},
+        {"helix_radius": 1e-9},
+        {"C_t": 0.0, "C_r": 0.0},
+    ],
+    ids=lambda numbers: ", ".join(f"{k} {v:g}" for k, v in numbers.items()),
+)
+def test_an_extreme_robot(numbers: dict[str, float]):
+    check(*half_a_second(*build(TINY, numbers)))
+
+
+@pytest.mark.parametrize(
+    "rpm", [(60, 60, -60, -60), (2000, 2000, -2000, -2000), (600, 600, 0, 0), (0, 0, 0, 0)], ids=str
+)
+def test_a_motor_that_jumps(rpm: Any):
+    check(*half_a_second(*build(DRIVEN, {"rpm": np.array(rpm, float)})))
+
+
+def test_what_is_not_finite_is_told():
+    for number in ("viscosity", "youngs_modulus", "rpm"):
+        scene, start = build(TINY, {number: jnp.nan})
+        state, report = half_a_second(scene, start)
+        assert Status(int(report.status)) is Status.NON_FINITE, number
+        assert "not finite" in report.message()
+        np.testing.assert_array_equal(state.q, start.q)
+    scene, start = build(TINY)
+    broken = replace(start, q=start.q.at[5].set(jnp.inf))
+    assert Status(int(half_a_second(scene, broken)[1].status)) is Status.NON_FINITE
