@@ -24,7 +24,7 @@ import numpy as np
 import pandas as pd
 
 import derjax
-from derjax.batch import ALL, advance, build_many, spread
+from derjax.batch import ALL, advance, build_many, spread, use_all_processors
 from derjax.runtime import enable_compilation_cache, use_one_blas_thread
 from derjax.scenefile import SceneFile
 
@@ -123,6 +123,7 @@ def main() -> None:
     arguments = parser.parse_args()
     enable_compilation_cache()
     use_one_blas_thread()
+    use_all_processors()
     if arguments.rows:
         print(json.dumps(measure(arguments.end, arguments.rounds)))
         return

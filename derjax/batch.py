@@ -48,6 +48,9 @@ from .step import Scene
 T = TypeVar("T")
 
 AXIS = "runs"
+POOL = "NPROC"
+"""Variable of the environment that holds the size of XLA's pool of threads."""
+
 ALL = 0
 """As a number of lanes: all runs of a device at once."""
 
@@ -84,7 +87,13 @@ def use_all_processors() -> None:
 
     To be called before JAX computes anything, else it changes nothing; nor does it if a number
     of devices has been chosen already, as with `JAX_NUM_CPU_DEVICES`.
+
+    XLA has one pool of threads for all devices, by default as many as processors. Programs on that
+    many devices take all of them, and if their operations are large enough to be divided among
+    threads, as with lanes, they wait for each other for ever. So the pool is made larger; its
+    size is what the variable `NPROC` of the environment says.
     """
+    os.environ.setdefault(POOL, str(2 * processors() + 2))
     if jax.config.jax_num_cpu_devices > 0:  # pyright: ignore[reportAttributeAccessIssue]
         return
     try:

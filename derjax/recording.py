@@ -15,7 +15,7 @@ import numpy as np
 
 from .files import atomic_path
 from .rod import State
-from .rollout import Report, new_report, rollout
+from .rollout import Report, march, new_report
 from .scenefile import InputError, SceneFile
 from .status import Status
 from .step import Scene
@@ -23,7 +23,7 @@ from .step import Scene
 T = TypeVar("T")
 Advance = Callable[[State, Report], tuple[State, Report]]
 
-_rollout = jax.jit(rollout, static_argnums=(2, 3))
+_march = jax.jit(march, static_argnums=(2, 3))
 
 
 @dataclasses.dataclass
@@ -62,7 +62,7 @@ def compile_frame(scene: Scene, recording: Recording, steps_per_frame: int) -> A
     """The compiled program for one frame; the time that it takes is added to `recording`."""
     began = time.perf_counter()
     state, report = _on_device(recording.frames[-1]), _on_device(recording.report)
-    compiled = _rollout.lower(scene, state, 1, steps_per_frame, report).compile()
+    compiled = _march.lower(scene, state, 1, steps_per_frame, report).compile()
     recording.compile_time += time.perf_counter() - began
     return lambda state, report: compiled(scene, state, report)
 

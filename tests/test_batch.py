@@ -190,7 +190,12 @@ def start(devices: int, *arguments: str) -> subprocess.Popen:
     )
     return subprocess.Popen(
         [sys.executable, "-c", program, str(jax.config.jax_compilation_cache_dir), *arguments],
-        env={**os.environ, "JAX_NUM_CPU_DEVICES": str(devices), "JAX_PLATFORMS": "cpu"},
+        env={
+            **os.environ,
+            "JAX_NUM_CPU_DEVICES": str(devices),
+            "JAX_PLATFORMS": "cpu",
+            "NPROC": "6",
+        },
         stdout=subprocess.PIPE,
         text=True,
     )

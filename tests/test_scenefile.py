@@ -75,6 +75,8 @@ def test_every_parameter_has_a_unit():
         ("[robot]\nkind = 'fish'", "'single_flagellum'"),
         ("[robot]\nrod_radius = 0.03", "rod_radius = 0.03: the turns of the helix overlap"),
         ("[robot]\nedge_length = 0.08", "edge_length = 0.08"),
+        ("[robot]\nhelix_radius = 1e-4", "helix_radius = 0.0001: too small"),
+        ("[robot]\nedge_length = 3e-4", "[fluid] regularization = 0.00167: more than 3.5 times"),
         ("[material]\npoisson_ratio = 0.6", "[material] poisson_ratio = 0.6"),
         ("[motor]\nrpm = 1e9", "[motor] rpm = 1e+09: beyond any motor"),
         ("[motor]\nrpm = 1\ntable = 'm.csv'", "either rpm or table"),
