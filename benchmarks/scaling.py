@@ -1,6 +1,6 @@
 """Time and memory of a step against the number of nodes, and where blocks overtake one matrix.
 
-    python -m benchmarks.scaling [-o docs/figures] [--largest 2000]
+    python -m benchmarks.scaling [-o docs/figures] [--largest 2000] [--only many|fine]
 
 Two ways to become large: more and more flagella of 30 nodes on fixed motors, with contact, 10 rpm;
 and one flagellum whose mesh is refined (a thin rod, so that edges stay longer than the
@@ -25,11 +25,11 @@ from derjax.scenefile import SceneFile
 
 from .tables import write
 
-FLAGELLA = (1, 2, 4, 7, 16, 32, 64)
+FLAGELLA = (2, 4, 8, 16, 32, 64)
 EDGES = (4.5e-3, 2e-3, 1e-3, 5e-4, 2.4e-4, 1.2e-4, 6.5e-5)
 """m, of the refined flagellum: 31 to 2,000 nodes."""
 
-LARGEST_DENSE = 900
+LARGEST_DENSE = 450
 STEPS = 5
 LARGE = 200
 """Nodes from which on growth is fitted."""
@@ -119,16 +119,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
     parser.add_argument("--largest", type=int, default=2000, help="nodes")
+    parser.add_argument("--only", choices=("many", "fine"), help="one of the two ways")
     arguments = parser.parse_args()
     enable_compilation_cache()
     use_one_blas_thread()
     rows = []
     for method, limit in (("blocks", arguments.largest), ("dense", LARGEST_DENSE)):
         for n in FLAGELLA:
-            if 28 * n <= min(limit, arguments.largest):
+            if arguments.only != "fine" and 28 * n <= min(limit, arguments.largest):
                 rows.append(measure("many flagella", many(n, method)))
         for edge in EDGES:
-            if 0.129 / edge <= min(limit, arguments.largest):
+            if arguments.only != "many" and 0.129 / edge <= min(limit, arguments.largest):
                 rows.append(measure("fine mesh", fine(edge, method)))
     table = pd.DataFrame(rows)
     lines = []

@@ -25,8 +25,8 @@ MANY = 20_000
 GROUP = 8
 """Edges of a group."""
 
-CLOSE_GROUPS = 8
-"""Pairs of groups that may be close at one time, per group."""
+CLOSE_GROUPS = 16
+"""Pairs of groups, per group, that are looked at for rods that overlap."""
 
 
 def pairs_apart(topology: Topology, rest_length: np.ndarray, gap: float) -> Indices:
@@ -76,10 +76,10 @@ def _grouped(n_edges: int, pairs: Indices) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def _candidates(
-    topology: Topology, x: Float[Array, "n 3"], pairs: Indices, reach: Array
+    topology: Topology, x: Float[Array, "n 3"], pairs: Indices, reach: Array, most: int | None
 ) -> tuple[Int[Array, "c 2"], Bool[Array, " c"], Bool[Array, ""]]:
     """Pairs of edges that hold all those closer than `reach` (m), which of them count, and
-    whether there were more than could be looked at."""
+    whether there were more than could be looked at: that is `most` pairs of groups."""
     if len(pairs.array) <= MANY:
         return jnp.asarray(pairs.array), jnp.ones(len(pairs.array), bool), jnp.array(False)
     groups, couples, partners = _grouped(topology.n_edges, pairs)
@@ -92,7 +92,7 @@ def _candidates(
     first, second = couples.T
     apart = jnp.sqrt(jnp.sum((centre[first] - centre[second]) ** 2, axis=-1))
     near = apart < radius[first] + radius[second] + reach
-    size = min(CLOSE_GROUPS * len(groups), len(couples))
+    size = min(CLOSE_GROUPS * len(groups) if most is None else most, len(couples))
     (chosen,) = jnp.nonzero(near, size=size, fill_value=0)
     looked_at = jnp.arange(size) < jnp.sum(near)
     one, other = (jnp.asarray(groups)[jnp.asarray(couples)[chosen, k]] for k in (0, 1))
@@ -114,7 +114,7 @@ def _nearest(
     topology: Topology, x: Float[Array, "n 3"], pairs: Indices, diameter: Array
 ) -> Float[Array, ""]:
     """The smallest distance (m) of two edges that can touch, if it is less than a diameter."""
-    edges, counts, _ = _candidates(topology, x, pairs, diameter)
+    edges, counts, _ = _candidates(topology, x, pairs, diameter, None)
     return jnp.min(jnp.where(counts, distance(x[_nodes_of(topology, edges)]), jnp.inf))
 
 
@@ -129,7 +129,7 @@ def closest(
 
     More than `capacity` of them if there are too many to find them all.
     """
-    edges, counts, overflow = _candidates(topology, x, pairs, reach)
+    edges, counts, overflow = _candidates(topology, x, pairs, reach, capacity)
     close = counts & (distance(x[_nodes_of(topology, edges)]) < reach)
     (chosen,) = jnp.nonzero(close, size=capacity, fill_value=0)
     return edges[chosen], jnp.where(overflow, capacity + 1, jnp.sum(close))

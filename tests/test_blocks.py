@@ -222,13 +222,11 @@ def test_groups_of_edges_find_what_all_pairs_find(rng, monkeypatch):
         lists = {}
         for many in (10**9, 0):
             monkeypatch.setattr(neighbourhood, "MANY", many)
-            monkeypatch.setattr(neighbourhood, "CLOSE_GROUPS", 100)
             edges, found = neighbourhood.closest(topology, x, pairs, jnp.array(0.02), 400)
             assert 0 < found <= 400
             lists[many] = {tuple(e) for e in np.asarray(edges)[: int(found)].tolist()}
         assert lists[0] == lists[10**9]
-        monkeypatch.setattr(neighbourhood, "CLOSE_GROUPS", 1)
-        assert neighbourhood.closest(topology, x, pairs, jnp.array(0.02), 400)[1] > 400
+        assert neighbourhood.closest(topology, x, pairs, jnp.array(0.02), 3)[1] > 3
 
 
 def test_large_robots_are_solved_for_in_blocks_unless_told_otherwise():
