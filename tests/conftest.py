@@ -1,6 +1,7 @@
 """Settings for every test: double precision, no display, compiled programs kept."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")
@@ -25,3 +26,10 @@ def pytest_configure(config: pytest.Config) -> None:
 def rng() -> np.random.Generator:
     """Random numbers, the same in every run."""
     return np.random.default_rng(20230301)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _programs_of_one_file() -> Iterator[None]:
+    """Drop compiled programs after every file: a process can only hold so many of them."""
+    yield
+    jax.clear_caches()
