@@ -311,8 +311,8 @@ def _motor(scene: SceneFile, p: dict[str, Array], topology: Topology) -> Motor:
 
 
 def _newton(scene: SceneFile, p: dict[str, Array], rod: Rod) -> NewtonSettings:
-    """Residuals are measured in EI / L^2, the force that bends the rod by its own length."""
-    length = jnp.sum(rod.rest_length)
+    """Residuals are measured in EI / L^2, the force that bends a flagellum by its own length."""
+    length = jnp.sum(rod.rest_length) / scene.robot.count
     bending = p["youngs_modulus"] * jnp.pi * p["rod_radius"] ** 4 / 4
     position = np.arange(rod.topology.n_dofs) < 3 * rod.topology.n_nodes
     force = jnp.where(position, bending / length**2, bending / length)
