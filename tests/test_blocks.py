@@ -193,7 +193,7 @@ def test_derivatives_of_runs_in_blocks(name):
 
 
 def test_memory_grows_with_the_number_of_nodes_and_no_faster():
-    """The memory that one compiled step asks for, from 2 to 8 flagella of 30 nodes."""
+    """The memory that one compiled step asks for, from 4 to 16 flagella of 28 nodes."""
     sizes = []
     for n_flagella in (4, 16):
         file = SceneFile.model_validate(

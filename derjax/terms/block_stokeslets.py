@@ -198,16 +198,14 @@ def block_mobility(segments: BlockStokeslets, x: Float[Array, "n 3"]) -> BlockMo
 
     pairs = _close_pairs(segments.layout, lax.stop_gradient(extended[:, 1:-1]), nodes >= 0)
     first, second = pairs.T
-    there_and_back = jax.vmap(
-        lambda a, b: (
-            0.5
-            * (
-                kernel(extended[a, 1:-1], extended[b], linked[b])
-                + kernel(extended[b, 1:-1], extended[a], linked[a]).T
-            )
-        )
-    )
-    between = lax.map(lambda p: there_and_back(p[0][None], p[1][None])[0], (first, second))
+
+    def there_and_back(pair: tuple[Array, Array]) -> Float[Array, "k k"]:
+        a, b = pair
+        there = kernel(extended[a, 1:-1], extended[b], linked[b])
+        back = kernel(extended[b, 1:-1], extended[a], linked[a])
+        return 0.5 * (there + back.T)
+
+    between = lax.map(there_and_back, (first, second))
     known = jnp.asarray(there)
     between = between * known[first][:, :, None] * known[second][:, None, :]
     return BlockMobility(
