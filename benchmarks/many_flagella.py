@@ -60,7 +60,7 @@ def scene(n_flagella: int, end: float, **solver: str) -> SceneFile:
             "motor": {"rpm": -15.0},
             "contact": {"stiffness": STIFFNESS},
             "friction": {"coefficient": 0.3},
-            "time": {"step": 0.05, "tolerance": 5e-4, "end": end, "frame": FRAME},
+            "time": {"end": end, "frame": FRAME},
             "solver": solver,
         }
     )

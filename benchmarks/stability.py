@@ -53,7 +53,7 @@ from derjax.pytree import replace
 from derjax.rollout import SEGMENTS, TRIES, _attempt, _going, _Run, new_report
 from derjax.runtime import enable_compilation_cache, use_one_blas_thread
 from derjax.scene import touching_pairs
-from derjax.scenefile import TOLERANCE, MotorTable, Time, check
+from derjax.scenefile import TOLERANCES, MotorTable, Time, check
 
 END, SHORT = 1.0, 0.2
 """Length of a run, s."""
@@ -66,11 +66,15 @@ REFERENCE = (1e-4, 1e-5)
 ACCURATE, FAR = 0.01, 1.0
 BETWEEN_WRITES = 10.0
 
-ADAPTIVE = {"step": 0.05, "tolerance": TOLERANCE}
-DEFAULT = "adaptive TR-BDF2"
+FIRST_STEP = 0.05
+"""Of steps that adapt, s."""
+DEFAULT, SECOND_ORDER = "adaptive Euler", "adaptive TR-BDF2"
+ADAPTIVE: dict[str, dict[str, Any]] = {
+    DEFAULT: {"scheme": "euler", "tolerance": TOLERANCES["euler"]},
+    SECOND_ORDER: {"scheme": "trbdf2", "tolerance": TOLERANCES["trbdf2"]},
+}
 COLUMNS: dict[str, dict[str, Any]] = {
-    DEFAULT: {"scheme": "trbdf2", **ADAPTIVE},
-    "adaptive Euler": {"scheme": "euler", **ADAPTIVE},
+    **{name: {"step": FIRST_STEP, **times} for name, times in ADAPTIVE.items()},
     **{f"TR-BDF2 {1e3 * h:g} ms": {"scheme": "trbdf2", "step": h} for h in (1e-3, 0.01, 0.05, 0.2)},
     **{f"Euler {1e3 * h:g} ms": {"scheme": "euler", "step": h} for h in (1e-3, 0.01, 0.05, 0.2)},
     **{f"explicit {1e3 * h:g} ms": {"scheme": "explicit", "step": h} for h in (1e-4, 1e-3, 0.01)},
@@ -79,8 +83,7 @@ COLUMNS: dict[str, dict[str, Any]] = {
 
 STEP = "step"
 STEP_COLUMNS: dict[str, dict[str, Any]] = {
-    DEFAULT: {"scheme": "trbdf2", "tolerance": TOLERANCE},
-    "adaptive Euler": {"scheme": "euler", "tolerance": TOLERANCE},
+    **ADAPTIVE,
     "TR-BDF2": {"scheme": "trbdf2"},
     "Euler": {"scheme": "euler"},
     "explicit": {"scheme": "explicit"},
@@ -412,7 +415,7 @@ class Reference(NamedTuple):
 
 def reference(value: Value) -> Reference:
     """From runs at small tolerances."""
-    times = {"scheme": "trbdf2", "step": ADAPTIVE["step"]}
+    times = {"scheme": "trbdf2", "step": FIRST_STEP}
     coarse, fine = ({**times, "tolerance": tolerance} for tolerance in REFERENCE)
     try:
         scene, end = simulate(value, fine, 3 * LIMIT)

@@ -47,7 +47,8 @@ from derjax.rod import positions
 from derjax.rollout import march, new_report
 from derjax.runtime import use_one_blas_thread
 from derjax.scene import enlarge
-from derjax.scenefile import TOLERANCE, SceneFile
+from derjax.scenefile import TOLERANCES as DEFAULTS
+from derjax.scenefile import SceneFile
 from derjax.schemes.euler import euler
 from derjax.schemes.trbdf2 import trbdf2
 from derjax.status import Status
@@ -166,7 +167,7 @@ def settings(case: str, quick: bool) -> list[Setting]:
     chosen: list[Setting] = []
     drags = ("rss",) if quick else ("rss", "rft")
     steps = STEPS[:5] if quick else STEPS
-    tolerances = sorted({TOLERANCE, *((3e-3, 1e-4) if quick else TOLERANCES)})
+    tolerances = sorted({*DEFAULTS.values(), *((3e-3,) if quick else TOLERANCES)})
     for drag in drags:
         for mesh in (5e-3,) if quick else MESHES[case]:
             fixed = [Setting(case, drag, mesh, s, h) for s in ("trbdf2", "euler") for h in steps]

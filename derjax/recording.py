@@ -7,10 +7,9 @@ import zipfile
 from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from .files import atomic_path
@@ -20,7 +19,6 @@ from .scenefile import InputError, SceneFile
 from .status import Status
 from .step import Scene
 
-T = TypeVar("T")
 Advance = Callable[[State, Report], tuple[State, Report]]
 
 _march = jax.jit(march, static_argnums=(2, 3))
@@ -55,16 +53,17 @@ class Recording:
 
 def new_recording(state: State) -> Recording:
     """The recording of a run that starts in `state`."""
-    return Recording([_on_host(state)], _on_host(new_report()))
+    return Recording([jax.device_get(state)], jax.device_get(new_report()))
 
 
 def compile_frame(scene: Scene, recording: Recording, steps_per_frame: int) -> Advance:
     """The compiled program for one frame; the time that it takes is added to `recording`."""
     began = time.perf_counter()
-    state, report = _on_device(recording.frames[-1]), _on_device(recording.report)
+    state, report = recording.frames[-1], recording.report
     compiled = _march.lower(scene, state, 1, steps_per_frame, report).compile()
     recording.compile_time += time.perf_counter() - began
-    return lambda state, report: compiled(scene, state, report)
+    # From host to host: every operation on a device outside of it would be one more program.
+    return lambda state, report: jax.device_get(compiled(scene, state, report))
 
 
 def record(
@@ -82,21 +81,19 @@ def record(
     A frame whose contacts do not fit into their list is computed again, by what `enlarge`
     returns.
     """
-    state, report = _on_device(recording.frames[-1]), _on_device(recording.report)
+    state = recording.frames[-1]
     while recording.n_frames < n_frames and recording.report.ok:
         began = time.perf_counter()
-        start = report
-        states, report = advance(state, start)
+        states, report = advance(state, recording.report)
         while report.status == Status.CAPACITY and enlarge is not None:
             advance = enlarge()
             began = time.perf_counter()
-            states, report = advance(state, start)
+            states, report = advance(state, recording.report)
         state = jax.tree.map(lambda leaf: leaf[0], states)
-        frame = _on_host(state)
         recording.wall_time += time.perf_counter() - began
-        if frame.time > recording.frames[-1].time:
-            recording.frames.append(frame)
-        recording.report = _on_host(report)
+        if state.time > recording.frames[-1].time:
+            recording.frames.append(state)
+        recording.report = report
         yield
 
 
@@ -166,11 +163,3 @@ def _changes(old: Any, new: Any, where: str = "") -> list[str]:
     if isinstance(old, list) or isinstance(new, list):
         return [f"{where} differs"]
     return [f"{where} was {old}, is {new}"]
-
-
-def _on_host(tree: T) -> T:
-    return jax.tree.map(np.asarray, tree)
-
-
-def _on_device(tree: T) -> T:
-    return jax.tree.map(jnp.asarray, tree)
