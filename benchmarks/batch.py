@@ -5,8 +5,11 @@
 The default robot (30 nodes) in steps that adapt, with motors of 20 to 100 rpm and other drag
 prefactors: 32 single runs one after another with one compiled program, and the same runs, or some
 of them, in batches. A device is a processor. Ratios are of wall times, of the same runs, measured
-in turn in one process; the best of some rounds. Batches of 8 also as lanes of one `vmap`. Writes
-batch.csv, .md and .png.
+in turn in one process; the best of some rounds. Batches of 8 also as lanes of one `vmap`.
+
+Last, what a user sees who has 32 scene files: one command `derjax simulate` for each, and one
+`derjax sweep` for all of them, both with programs that were compiled before. Here a process starts
+for every single run. Writes batch.csv, .md and .png.
 """
 
 import argparse
@@ -14,6 +17,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -24,7 +28,7 @@ import numpy as np
 import pandas as pd
 
 import derjax
-from derjax.batch import ALL, advance, build_many, spread, use_all_processors
+from derjax.batch import ALL, advance, build_many, processors, spread, use_all_processors
 from derjax.runtime import enable_compilation_cache, use_one_blas_thread
 from derjax.scenefile import SceneFile
 
@@ -74,6 +78,7 @@ def measure(end: float, rounds: int) -> list[dict[str, object]]:
     for (size, lanes), spent in best.items():
         rows.append(
             {
+                "against": "runs in one process",
                 "devices": jax.device_count(),
                 "runs": size,
                 "lanes": "all" if lanes == ALL else str(lanes),
@@ -98,10 +103,49 @@ def measure_with(devices: int, end: float, rounds: int) -> list[dict[str, object
     return json.loads(done.stdout.splitlines()[-1])
 
 
+def commands(end: float) -> dict[str, object]:
+    """A row for `derjax sweep`, against `derjax simulate` for each of its points."""
+    with tempfile.TemporaryDirectory() as name:
+        place = Path(name)
+        for k, (rate, prefactor) in enumerate(zip(RATES, PREFACTORS, strict=True)):
+            text = f"[time]\nend = {end}\n[motor]\nrpm = {rate}\n[head]\nC_t = {prefactor}\n"
+            (place / f"{k}.toml").write_text(text, encoding="utf-8")
+        varied = {"rpm": RATES.tolist(), "C_t": PREFACTORS.tolist()}
+        lines = ['scene = "0.toml"', 'mode = "together"', "[vary]"]
+        lines += [f"{key} = {values}" for key, values in varied.items()]
+        (place / "sweep.toml").write_text("\n".join(lines), encoding="utf-8")
+
+        def derjax_(command: str, file: str, output: str) -> float:
+            words = [command, str(place / file), "-o", str(place / output)]
+            quietly = ["--quiet", "--no-figures"]
+            return seconds(
+                lambda: (
+                    subprocess.run(
+                        [sys.executable, "-m", "derjax", *words, *quietly], check=True
+                    ).returncode
+                )
+            )
+
+        derjax_("simulate", "0.toml", "first")  # compiles
+        derjax_("sweep", "sweep.toml", "first_sweep")
+        alone = sum(derjax_("simulate", f"{k}.toml", f"run{k}") for k in range(RUNS))
+        together = derjax_("sweep", "sweep.toml", "sweep")
+    return {
+        "against": "commands",
+        "devices": processors(),
+        "runs": RUNS,
+        "lanes": "1",
+        "runs_per_s": RUNS / together,
+        "single_runs_per_s": RUNS / alone,
+        "ratio": alone / together,
+    }
+
+
 def figure(table: pd.DataFrame) -> plt.Figure:
     """Throughput over that of single runs, against the size of the batch."""
     fig, axes = plt.subplots(figsize=(7, 4))
-    for (devices, lanes), rows in table.groupby(["devices", "lanes"], sort=False):
+    measured = table[table["against"] != "commands"]
+    for (devices, lanes), rows in measured.groupby(["devices", "lanes"], sort=False):
         label = f"{devices} device{'s' * (devices > 1)}, lanes: {lanes}"
         axes.plot(rows["runs"], rows["ratio"], "o-", label=label)
     axes.axhline(1.0, color="0.3", lw=0.8)
@@ -130,8 +174,16 @@ def main() -> None:
     rows = []
     for devices in DEVICES:
         rows += measure_with(devices, arguments.end, arguments.rounds)
+    rows.append(commands(arguments.end))
     table = pd.DataFrame(rows)
-    formats = {"devices": "d", "runs": "d", "lanes": "", "runs_per_s": ".3g", "ratio": ".2f"}
+    formats = {
+        "against": "",
+        "devices": "d",
+        "runs": "d",
+        "lanes": "",
+        "runs_per_s": ".3g",
+        "ratio": ".2f",
+    }
     write(table, arguments.output / "batch.csv", formats)
     figure(table).savefig(arguments.output / "batch.png", dpi=150)
     print((arguments.output / "batch.md").read_text(encoding="utf-8"))

@@ -3,24 +3,16 @@
 import argparse
 from pathlib import Path
 
+from .options import add_output, add_quiet
+
 HELP = "simulate a scene file; writes trajectory, summary and figures"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Adds the arguments of `derjax simulate`."""
     parser.add_argument("scene", type=Path, metavar="SCENE.toml", help="what to simulate")
-    parser.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="DIR", help="where the results go"
-    )
-    existing = parser.add_mutually_exclusive_group()
-    existing.add_argument(
-        "--resume", action="store_true", help="continue the unfinished run in DIR"
-    )
-    existing.add_argument(
-        "--overwrite", action="store_true", help="replace the results that are in DIR"
-    )
-    parser.add_argument("--no-figures", action="store_true", help="draw no figures")
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    add_output(parser, resume="continue the unfinished run in DIR")
+    add_quiet(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from ..scenefile import InputError
+from .options import add_output, add_quiet
 
 HELP = "simulate a scene at many values of its keys; writes a table and a figure"
 
@@ -11,9 +12,7 @@ HELP = "simulate a scene at many values of its keys; writes a table and a figure
 def configure(parser: argparse.ArgumentParser) -> None:
     """Adds the arguments of `derjax sweep`."""
     parser.add_argument("sweep", type=Path, metavar="SWEEP.toml", help="what to vary, and how")
-    parser.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="DIR", help="where the results go"
-    )
+    add_output(parser, resume="compute the points that are missing in DIR")
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
         "--workers", type=int, metavar="N", help="let N processes on this machine do it, by Dask"
@@ -29,15 +28,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "without words where a cluster's queue says who they are (Slurm, MPI), else with the "
         "ADDRESS:PORT of the first, the number of processes, and which of them this is, from 0",
     )
-    existing = parser.add_mutually_exclusive_group()
-    existing.add_argument(
-        "--resume", action="store_true", help="compute the points that are missing in DIR"
-    )
-    existing.add_argument(
-        "--overwrite", action="store_true", help="replace the results that are in DIR"
-    )
-    parser.add_argument("--no-figures", action="store_true", help="draw no figure")
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    add_quiet(parser)
 
 
 def run(args: argparse.Namespace) -> int:
