@@ -310,6 +310,11 @@ class ForceLaw(Protocol):
         """Of every block as if it were alone, N s/m."""
         ...
 
+    @property
+    def coarse(self) -> "ForceLaw":
+        """Nearly the same map, and quicker: good enough for Newton's directions."""
+        ...
+
     def apply(self, force: Float[Array, " m"]) -> Float[Array, " m"]:
         """The velocities for forces, differentiable in everything that they depend on."""
         ...

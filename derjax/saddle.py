@@ -16,6 +16,10 @@ Newton's linear systems are solved by GMRES (Saad & Schultz, SIAM J. Sci. Stat. 
 
 R being the inverse of the mobility of every block by itself, K that part of the second derivative
 of E, and b, rho what is wanted of the two equations.
+
+In Newton's method A is a coarse one in these systems (`ForceLaw.coarse`). That costs some more
+iterations, of which each takes one product with A itself, for what is left of the equations; what
+they end at is the same. Derivatives are solved for with A itself.
 """
 
 from typing import Any
@@ -27,14 +31,12 @@ from jaxtyping import Array, Float
 
 from .blocks import BlockFactor, Layout, assemble, factor_blocks, multiply
 from .krylov import gmres
-from .potential import Diagonal, Dofs, Elements, Mobility, Pairs, Potential
+from .potential import Diagonal, Dofs, Elements, ForceLaw, Mobility, Pairs, Potential
 from .pytree import Indices, pytree, static
 
-ROUGH, EXACT = 1e-3, 1e-13
-"""By how much GMRES lowers the residual: in Newton's method, and for derivatives."""
-
-PRODUCTS = 80
-"""Of GMRES, at the most."""
+ROUGH, EXACT = (1e-2, 24), (1e-13, 80)
+"""By how much GMRES lowers the residual, and the products it may take for that: in Newton's
+method, where the coarse far field leaves as much anyway, and for derivatives."""
 
 Unknowns = Float[Array, " d+m"]
 
@@ -62,8 +64,9 @@ class Saddle:
     scale: Dofs
 
     symmetric = False
-    chords = 0
-    """A matrix costs less than what is done with it: there is a new one in every iteration."""
+    chords = 8
+    """Steps that one may still have to take with a matrix that is out of date. Close to the
+    solution it is the coarse far field that limits what a step gains, and not the matrix's age."""
 
     @property
     def guards(self) -> tuple[Any, ...]:
@@ -130,7 +133,12 @@ class Saddle:
         size = self.split(sizes)[0]
         rounding = multiply(absolute, size) + diagonal * size
         solver = SaddleFactor(
-            self, tuple(matrices), diagonal, factor_blocks(rough), EXACT if exact else ROUGH
+            self,
+            tuple(matrices),
+            diagonal,
+            law if exact else law.coarse,
+            factor_blocks(rough),
+            EXACT if exact else ROUGH,
         )
         return solver, self.join(rounding, jnp.zeros(self.drag.dofs.array.size))
 
@@ -140,6 +148,10 @@ class _Still:
     """The law of a fluid that is not there: no wet degrees of freedom."""
 
     resistance: Array
+
+    @property
+    def coarse(self) -> "_Still":
+        return self
 
     def apply(self, force: Array) -> Array:
         return force
@@ -164,21 +176,23 @@ class SaddleFactor:
         saddle: the equations.
         matrices: second derivatives of the elements of E.
         diagonal: (d,) and what is diagonal of them.
+        law: of force to velocity in the products.
         near: the factor of the preconditioner.
-        tolerance: by how much the residual is lowered.
+        effort: by how much GMRES lowers the residual, and the most products that it takes.
     """
 
     saddle: Saddle
     matrices: tuple[tuple[Any, Array], ...]
     diagonal: Dofs
+    law: ForceLaw
     near: BlockFactor
-    tolerance: float = static()
+    effort: tuple[float, int] = static()
 
     def _product(self, q: Dofs, f: Array) -> tuple[Dofs, Array]:
         """What changes of q and f do to the two equations: forces, and a displacement (m)."""
         s = self.saddle
         force = multiply(self.matrices, q) + self.diagonal * q + s._spread(f)
-        slip = q[s.drag.dofs.array] - s.drag.time * s.drag.law.apply(f)
+        slip = q[s.drag.dofs.array] - s.drag.time * self.law.apply(f)
         return jnp.where(s.free > 0, force, q), slip
 
     def _roughly(self, b: Dofs, slip: Array) -> tuple[Dofs, Array]:
@@ -205,7 +219,7 @@ class SaddleFactor:
             force, slip = self._product(*roughly(given))
             return s.join(force / unit, slip / length)
 
-        return roughly(gmres(product, s.join(b / unit, slip / length), self.tolerance, PRODUCTS))
+        return roughly(gmres(product, s.join(b / unit, slip / length), *self.effort))
 
     def solve(self, b: Unknowns) -> Unknowns:
         """Solution z of J z = b."""

@@ -124,6 +124,28 @@ def test_the_mobility_is_that_of_the_whole_robot(name, rng):
     assert np.linalg.norm(af - exact) < 4e-3 * np.linalg.norm(exact)  # edges of 13 to 18 mm
 
 
+def test_the_coarse_mobility_is_symmetric_and_close(rng):
+    """Nodes in fours are one point for what is not close."""
+    file = SceneFile.model_validate(
+        {"robot": {"kind": "clamped", "n_flagella": 8}, "contact": {"method": "none"}}
+    )
+    scene, state = build(file)
+    (drag,) = (t for t in scene.terms if isinstance(t, BlockStokeslets))
+
+    @jax.jit
+    def products(f: jax.Array, g: jax.Array) -> tuple[jax.Array, ...]:
+        interval = Interval(scene.step_length, state.motor_angle)
+        law = drag.contribution(scene.rod, state, interval).law
+        return law.apply(f), law.coarse.apply(f), law.coarse.apply(g)
+
+    uniform = np.tile([1.0, -0.5, 0.3], scene.rod.topology.n_nodes)
+    noise = 0.3 * rng.standard_normal((2, uniform.size))
+    f, g = uniform + noise
+    exact, af, ag = (np.asarray(v) for v in products(f, g))
+    assert f @ ag == pytest.approx(g @ af, rel=1e-12)
+    assert 0.0 < np.linalg.norm(af - exact) < 0.02 * np.linalg.norm(exact)
+
+
 @every_robot
 def test_linear_systems_are_solved_both_ways(name, rng):
     _, scene, rest = both(name)

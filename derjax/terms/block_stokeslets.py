@@ -27,13 +27,16 @@ from jaxtyping import Array, Float, Int
 
 from ..blocks import Layout
 from ..potential import Mobility
-from ..pytree import Indices, pytree, static
+from ..pytree import Indices, pytree, replace, static
 from ..rod import Rod, State, positions
 from .stokeslets import segment_kernels
 from .term import Interval, Outlook, Term
 
 NEAR = 6
 """Pairs of blocks that are treated segment by segment, per block."""
+
+LUMP = 4
+"""Nodes in a row that are one point where the far field need not be exact."""
 
 _AWAY = 1e3
 """m, where nodes and segments stand that are not there: out of reach of any robot."""
@@ -112,9 +115,10 @@ class BlockMobility:
         resistance: (b, 3m, 3m) its inverse, N s/m; zero for nodes that are not there.
         pairs: (p, 2) blocks that are close.
         between: (p, 3m, 3m) of the second on the first, m/(N s).
-        x: (b, m, 3) m, the nodes, far away where there is none.
+        points: (b, p, 3) m, what acts on blocks that are not close; far away where there is none.
         viscosity: Pa s.
         regularization: m.
+        lump: nodes in a row that one point stands for.
     """
 
     layout: Layout = static()
@@ -122,9 +126,25 @@ class BlockMobility:
     resistance: Float[Array, "b k k"]
     pairs: Int[Array, "p 2"]
     between: Float[Array, "p k k"]
-    x: Float[Array, "b m 3"]
+    points: Float[Array, "b p 3"]
     viscosity: Float[Array, ""]
     regularization: Float[Array, ""]
+    lump: int = static(default=1)
+
+    @property
+    def coarse(self) -> "BlockMobility":
+        """Nearly the same map, of a fraction of the time: symmetric as well, and exactly what it
+        is for blocks that are close; for others, `LUMP` nodes in a row are one point."""
+        present = jnp.asarray(self._there, float)[..., None]
+        number = self._lumped(present, LUMP)
+        middle = self._lumped(present * self.points, LUMP) / jnp.maximum(number, 1.0)
+        return replace(self, points=jnp.where(number > 0.0, middle, _AWAY), lump=LUMP)
+
+    def _lumped(self, nodal: Float[Array, "b m k"], lump: int) -> Float[Array, "b p k"]:
+        """Sums over nodes in a row."""
+        n_blocks, m, k = nodal.shape
+        padded = jnp.pad(nodal, ((0, 0), (0, -m % lump), (0, 0)))
+        return jnp.sum(padded.reshape(n_blocks, -1, lump, k), axis=2)
 
     @property
     def _there(self) -> np.ndarray:
@@ -159,22 +179,38 @@ class BlockMobility:
         far = 1.0 - jnp.eye(n_blocks)
         first, second = self.pairs.T
         far = far.at[first, second].set(0.0).at[second, first].set(0.0)
-        source, force = self.x.reshape(-1, 3), f.reshape(-1, 3)
-        eps2 = self.regularization**2
-
-        def on(given):
-            targets, felt = given
-            rx, ry, rz = targets.T[:, :, None] - source.T[:, None, :]
-            squared = rx * rx + ry * ry + rz * rz + eps2
-            inverse = lax.rsqrt(squared)
-            cubed = inverse**3 * jnp.repeat(felt, m, total_repeat_length=n_blocks * m)
-            along = (rx * force[:, 0] + ry * force[:, 1] + rz * force[:, 2]) * cubed
-            # The sum of (f . r) r as matrix products: r is the target less the source.
-            pulled = jnp.sum(along, axis=1)[:, None] * targets - along @ source
-            return ((squared + eps2) * cubed) @ force + pulled
-
-        u = lax.map(on, (self.x, far)) / (8.0 * jnp.pi * self.viscosity)
+        forces = self._lumped(f.reshape(n_blocks, m, 3), self.lump)
+        u = _of_points(self.points, forces, far, self.regularization)
+        u = jnp.repeat(u / (8.0 * jnp.pi * self.viscosity), self.lump, axis=1)[:, :m]
         return (u * self._there[:, :, None]).reshape(n_blocks, -1)
+
+
+def _of_points(
+    points: Float[Array, "b p 3"],
+    forces: Float[Array, "b p 3"],
+    felt: Float[Array, "b b"],
+    regularization: Array,
+) -> Float[Array, "b p 3"]:
+    """8 pi mu u at points, for forces on the points of the blocks that are `felt`.
+
+    All sums are matrix products, also those in r^2 = x^2 - 2 x . y + y^2 and f . r = f . x - f . y.
+    What cancels there costs digits only where points are close, and those are not felt.
+    """
+    size, eps2 = points.shape[1], regularization**2
+    source, force = points.reshape(-1, 3), forces.reshape(-1, 3)
+    squares, work = jnp.sum(source * source, axis=1), jnp.sum(force * source, axis=1)
+    extended = jnp.pad(source, ((0, 0), (0, 1)), constant_values=1.0)
+
+    def on(given: tuple[Array, Array, Array]) -> Float[Array, "p 3"]:
+        targets, own, felt = given
+        blurred = own[:, None] - 2.0 * targets @ source.T + (squares + eps2)
+        blurred = jnp.maximum(blurred, eps2)
+        weight = jnp.repeat(felt, size, total_repeat_length=source.shape[0])
+        cubed = weight / (blurred * jnp.sqrt(blurred))
+        pulled = ((targets @ force.T - work) * cubed) @ extended
+        return ((blurred + eps2) * cubed) @ force + pulled[:, 3:] * targets - pulled[:, :3]
+
+    return lax.map(on, (points, squares.reshape(-1, size), felt))
 
 
 def block_mobility(segments: BlockStokeslets, x: Float[Array, "n 3"]) -> BlockMobility:
