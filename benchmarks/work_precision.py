@@ -45,7 +45,7 @@ import derjax
 from derjax.pytree import replace
 from derjax.rod import positions
 from derjax.rollout import march, new_report
-from derjax.runtime import use_one_blas_thread
+from derjax.runtime import enable_compilation_cache, use_one_blas_thread
 from derjax.scene import enlarge
 from derjax.scenefile import TOLERANCES as DEFAULTS
 from derjax.scenefile import SceneFile
@@ -208,6 +208,7 @@ class Runs:
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
+        self._robot: tuple[Any, ...] = ()
         self._programs: dict[tuple[Any, ...], tuple[Any, float]] = {}
         directory.mkdir(parents=True, exist_ok=True)
 
@@ -272,6 +273,10 @@ class Runs:
         A run whose list of contacts is too short is made again with a longer one, as
         `derjax simulate` does.
         """
+        if setting.program[:3] != self._robot:  # a process cannot hold all programs
+            self._robot = setting.program[:3]
+            self._programs.clear()
+            jax.clear_caches()
         times = setting.file.time
         steps, start = jnp.asarray(times.steps_per_frame), new_report()
         for enlarged in range(6):
@@ -347,6 +352,7 @@ def orders(quick: bool) -> pd.DataFrame:
             file = SceneFile.model_validate(
                 {"fluid": {"hydrodynamics": drag}, "time": times, "solver": {"tolerance": 1e-12}}
             )
+            jax.clear_caches()
             scene, state = derjax.build(file)
             start = _end(scene, state, 200)
 
@@ -699,6 +705,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=ROUNDS, help="of timing")
     parser.add_argument("--cache", type=Path, help="where runs are kept")
     arguments = parser.parse_args()
+    enable_compilation_cache()
     use_one_blas_thread()
     kept = Path(tempfile.gettempdir()) / f"derjax_work_precision_{contents()}"
     runs = Runs(arguments.cache or kept)

@@ -118,7 +118,8 @@ class Equations(Protocol):
     """What is to be solved: a `Potential`, or a `Saddle`.
 
     Attributes:
-        symmetric: whether a potential is to be minimised: there is a `value_and_gradient`.
+        symmetric: whether a potential is to be minimised: then there are `value_and_gradient` and
+            `slope`.
         chords: steps that one may still have to take with a matrix that is out of date.
         guards: what must hold on the way.
     """
@@ -204,7 +205,7 @@ def equilibrium(
         residual, before = scaled(gradient, now.unit), now.point.residual
         accepted = residual <= (1.0 - 1e-4 * length) * before
         if symmetric:
-            slope = direction @ now.point.gradient
+            slope = potential.slope(now.point.gradient, direction)
             # Far from the solution a smaller residual alone will not do: where rods touch,
             # iterations that trade the one for the other may go round in circles. Close to it
             # the potential says nothing any more, for rounding.

@@ -394,6 +394,10 @@ class Potential:
         ]
         return jnp.asarray(sum(v for v, _ in parts)), jnp.asarray(sum(g for _, g in parts))
 
+    def slope(self, gradient: Dofs, direction: Dofs) -> Array:
+        """By how much the value changes along a direction."""
+        return gradient @ direction
+
     def hessian(self, q: Dofs) -> Matrix:
         matrix = jnp.zeros((q.size, q.size), q.dtype)
         # Whole matrices first: what adds blocks after them can do it in place.

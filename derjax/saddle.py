@@ -63,10 +63,13 @@ class Saddle:
     free: Dofs
     scale: Dofs
 
-    symmetric = False
     chords = 8
     """Steps that one may still have to take with a matrix that is out of date. Close to the
     solution it is the coarse far field that limits what a step gains, and not the matrix's age."""
+
+    @property
+    def symmetric(self) -> bool:
+        return self.potential.symmetric
 
     @property
     def guards(self) -> tuple[Any, ...]:
@@ -81,9 +84,11 @@ class Saddle:
         return jnp.concatenate([q, f])
 
     def start(self, q: Dofs) -> Unknowns:
-        """q with the forces that every block would need by itself."""
-        move = (q - self.drag.origin)[self.drag.dofs.array]
-        return self.join(q, self.drag.law.resist(move) / self.drag.time)
+        """q with about the forces that the second equation has for it."""
+        law = self.drag.law
+        velocity = (q - self.drag.origin)[self.drag.dofs.array] / self.drag.time
+        alone = gmres(lambda u: law.coarse.apply(law.resist(u)), velocity, *ROUGH)
+        return self.join(q, law.resist(alone))
 
     @property
     def scales(self) -> Unknowns:
@@ -114,6 +119,26 @@ class Saddle:
         move = (q - self.drag.origin)[self.drag.dofs.array]
         slip = move - self.drag.time * self.drag.law.apply(f)
         return self.join(jnp.where(self.free > 0, force, q - self.held), self.stiffness * slip)
+
+    def value_and_gradient(self, z: Unknowns) -> tuple[Array, Unknowns]:
+        """What a solution makes a minimum of, and `gradient`.
+
+        Where the second equation holds, the function of the saddle is the potential of the first
+        one, E(q) + u . A^-1 u / 2 l. Where a slip s is left of it, it is smaller by
+        s . A^-1 s / 2 l; for that s . R s / l is added, which is more. As the equation is linear,
+        s is small from the first step on.
+        """
+        q, f = self.split(z)
+        gradient = self.gradient(z)
+        move = (q - self.drag.origin)[self.drag.dofs.array]
+        slip = self.split(gradient)[1] / self.stiffness
+        missing = self.drag.law.resist(slip) @ slip / self.drag.time
+        return self.potential.value(q) + 0.5 * f @ (move + slip) + missing, gradient
+
+    def slope(self, gradient: Unknowns, direction: Unknowns) -> Array:
+        """Of that potential: along with q, f changes by itself."""
+        force, q = self.split(gradient)[0], self.split(direction)[0]
+        return (self.free * force) @ q
 
     def factored(
         self, z: Unknowns, sizes: Unknowns, free: None, exact: bool
