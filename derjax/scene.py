@@ -215,7 +215,7 @@ def _check_apart(scene: SceneFile, edges: Float[np.ndarray, "e 2 3"], pairs: Ind
         )
 
 
-LARGE = 200
+LARGE = 150
 """Nodes from which on a robot is solved for in blocks, unless the scene file says otherwise."""
 
 BLOCK = 16

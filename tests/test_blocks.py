@@ -17,7 +17,7 @@ from derjax.rollout import new_report
 from derjax.saddle import Saddle, no_drag
 from derjax.step import prepare
 from derjax.terms import Interval, StokesletSegments
-from derjax.terms.block_stokeslets import BlockStokeslets
+from derjax.terms.block_stokeslets import BlockStokeslets, block_mobility
 from derjax.terms.stokeslets import mobility
 
 BLOCK = 4
@@ -124,13 +124,20 @@ def test_the_mobility_is_that_of_the_whole_robot(name, rng):
     assert np.linalg.norm(af - exact) < 4e-3 * np.linalg.norm(exact)  # edges of 13 to 18 mm
 
 
-def test_the_coarse_mobility_is_symmetric_and_close(rng):
-    """Nodes in fours are one point for what is not close."""
+@pytest.fixture(scope="module")
+def large() -> tuple[Scene, State, BlockStokeslets]:
+    """A robot most of whose blocks are far from each other, and its drag."""
     file = SceneFile.model_validate(
         {"robot": {"kind": "clamped", "n_flagella": 8}, "contact": {"method": "none"}}
     )
     scene, state = build(file)
     (drag,) = (t for t in scene.terms if isinstance(t, BlockStokeslets))
+    return scene, state, drag
+
+
+def test_the_coarse_mobility_is_symmetric_and_close(large, rng):
+    """Nodes in fours are one point for what is not close."""
+    scene, state, drag = large
 
     @jax.jit
     def products(f: jax.Array, g: jax.Array) -> tuple[jax.Array, ...]:
@@ -144,6 +151,20 @@ def test_the_coarse_mobility_is_symmetric_and_close(rng):
     exact, af, ag = (np.asarray(v) for v in products(f, g))
     assert f @ ag == pytest.approx(g @ af, rel=1e-12)
     assert 0.0 < np.linalg.norm(af - exact) < 0.02 * np.linalg.norm(exact)
+
+
+def test_the_far_field_does_not_lose_digits_far_from_the_origin(large, rng):
+    """Its sums are made of squares of coordinates."""
+    scene, state, drag = large
+    x = positions(scene.rod.topology, state.q)
+
+    @jax.jit
+    def velocity(x: jax.Array, f: jax.Array) -> jax.Array:
+        return block_mobility(drag, x).apply(f)
+
+    f = rng.standard_normal(3 * scene.rod.topology.n_nodes)
+    here, there = velocity(x, f), velocity(x + 1e3, f)
+    np.testing.assert_allclose(there, here, atol=1e-9 * np.abs(here).max())
 
 
 @every_robot

@@ -115,7 +115,8 @@ class BlockMobility:
         resistance: (b, 3m, 3m) its inverse, N s/m; zero for nodes that are not there.
         pairs: (p, 2) blocks that are close.
         between: (p, 3m, 3m) of the second on the first, m/(N s).
-        points: (b, p, 3) m, what acts on blocks that are not close; far away where there is none.
+        points: (b, p, 3) m from the first node, what acts on blocks that are not close; far away
+            where there is none.
         viscosity: Pa s.
         regularization: m.
         lump: nodes in a row that one point stands for.
@@ -250,7 +251,7 @@ def block_mobility(segments: BlockStokeslets, x: Float[Array, "n 3"]) -> BlockMo
         resistance * present,
         pairs,
         between,
-        extended[:, 1:-1],
+        extended[:, 1:-1] - lax.stop_gradient(extended[0, 1]),
         segments.viscosity,
         segments.regularization,
     )
