@@ -14,13 +14,14 @@ import jax
 import pytest
 import xarray as xr
 
-from derjax import batch, farm, march, points
-from derjax import sweep as sweeps
+from derjax import batch, march
 from derjax.cli import main
-from derjax.points import Chunk, compute
 from derjax.scenefile import UNITS, InputError, SceneFile
-from derjax.sweep_figure import figure
-from derjax.sweepfile import PLACES, _fields, load_sweep
+from derjax.sweeps import farm, points
+from derjax.sweeps import sweep as sweeps
+from derjax.sweeps.figure import figure
+from derjax.sweeps.file import PLACES, _fields, load_sweep
+from derjax.sweeps.points import Chunk, compute
 
 SCENE = """
 [robot]
@@ -405,9 +406,9 @@ def test_a_lost_worker_is_replaced(directory, finished):
     program = f"""
 import os, sys
 from pathlib import Path
-from derjax import farm
+from derjax.sweeps import farm
 from derjax.cli import main
-from derjax.points import compute_surely
+from derjax.sweeps.points import compute_surely
 
 def fatal(chunk):
     mark = Path({str(directory / "killed")!r})

@@ -32,7 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Runs `derjax sweep`; see `derjax.sweep.sweep`.
+    """Runs `derjax sweep`; see `derjax.sweeps.sweep`.
 
     Raises:
         InputError: an option cannot be right; nothing has been written.
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     if args.workers is not None and args.workers < 1:
         raise InputError(f"--workers {args.workers}: must be at least 1")
     from ..batch import use_all_processors
-    from ..sweep import Options, sweep  # slow to import
+    from ..sweeps.sweep import Options, sweep  # slow to import
 
     if args.workers is None and args.scheduler is None:
         use_all_processors()

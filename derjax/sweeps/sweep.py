@@ -13,12 +13,13 @@ from typing import Any
 import jax
 import numpy as np
 
-from . import points, trajectory
-from .files import atomic_path
+from .. import trajectory
+from ..files import atomic_path
+from ..progress import Progress, interruptible
+from ..scenefile import InputError, SceneFile
+from . import points
+from .file import Sweep, load_sweep
 from .points import ERROR, INVALID, Cancelled, Chunk, Outcome
-from .progress import Progress, interruptible
-from .scenefile import InputError, SceneFile
-from .sweepfile import Sweep, load_sweep
 
 RESULTS = "results.csv"
 IDENTITY = "sweep.json"
@@ -123,7 +124,7 @@ def sweep(options: Options) -> int:
     if not writing:
         return DONE
     if options.figures:
-        from .sweep_figure import figure  # slow to import
+        from .figure import figure  # slow to import
 
         drawn = figure(plan, book.rows)
         if drawn is not None:

@@ -11,9 +11,9 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from .plots import MEAN, STYLE
-from .scenefile import UNITS
-from .sweepfile import Sweep
+from ..plots import MEAN, STYLE
+from ..scenefile import UNITS
+from .file import Sweep
 
 Row = Mapping[str, str]
 

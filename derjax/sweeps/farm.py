@@ -6,9 +6,9 @@ from importlib.metadata import version
 from queue import Empty, SimpleQueue
 from typing import Any
 
+from ..runtime import enable_compilation_cache, use_one_blas_thread
+from ..scenefile import InputError
 from .points import ERROR, Chunk, Outcome, compute_surely, failed
-from .runtime import enable_compilation_cache, use_one_blas_thread
-from .scenefile import InputError
 
 RETRIES = 2
 """How often a chunk is tried again, after a fault that is not that of one of its points."""

@@ -11,17 +11,17 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from . import summary as summaries
-from . import trajectory
-from .batch import advance, build_many, everyone, pick, repeat, spread
-from .pytree import Indices, replace
-from .rod import State
-from .rollout import Report, new_report
-from .scene import build, enlarge, touching_pairs
-from .scenefile import Contact, Fluid, Head, InputError, Material, Motor, SceneFile
-from .status import Status
-from .step import Scene
-from .sweepfile import PLACES
+from .. import summary as summaries
+from .. import trajectory
+from ..batch import advance, build_many, everyone, pick, repeat, spread
+from ..pytree import Indices, replace
+from ..rod import State
+from ..rollout import Report, new_report
+from ..scene import build, enlarge, touching_pairs
+from ..scenefile import Contact, Fluid, Head, InputError, Material, Motor, SceneFile
+from ..status import Status
+from ..step import Scene
+from .file import PLACES
 
 T = TypeVar("T")
 

@@ -21,7 +21,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, Field, create_model
 
-from .scenefile import (
+from ..scenefile import (
     Count,
     Finite,
     InputError,
