@@ -119,7 +119,7 @@ def measure(n_flagella: int, end: float) -> list[dict[str, object]]:
                 "time_s": float(state.time),
                 "s_per_simulated_s": spent / FRAME,
                 "steps": taken,
-                "iterations": int(new.iterations),
+                "iterations": int(report.iterations),
                 "contacts": int((forces > 0).sum()),
                 "status": "" if report.ok else report.message(),
             }
