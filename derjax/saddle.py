@@ -165,7 +165,7 @@ class Saddle:
             factor_blocks(rough),
             EXACT if exact else ROUGH,
         )
-        return solver, self.join(rounding, jnp.zeros(self.drag.dofs.array.size))
+        return solver, self.join(rounding, self.stiffness * size[self.drag.dofs.array])
 
 
 @pytree

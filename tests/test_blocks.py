@@ -15,6 +15,7 @@ from derjax.potential import Mobility, gather
 from derjax.pytree import Indices, replace
 from derjax.rollout import new_report
 from derjax.saddle import Saddle, no_drag
+from derjax.status import Status
 from derjax.step import prepare
 from derjax.terms import Interval, StokesletSegments
 from derjax.terms.block_stokeslets import BlockStokeslets, block_mobility
@@ -187,6 +188,14 @@ def test_linear_systems_are_solved_both_ways(name, rng):
     scales = np.concatenate([scene.newton.force_scale, np.full(size - state.q.size, 1.0)])
     for found in check(state, c * scales):
         np.testing.assert_allclose(found / scales, c, rtol=1e-6, atol=1e-6)
+
+
+def test_short_steps_are_solved_as_well_as_rounding_permits(large):
+    """Resistance over the length of a step makes forces of what rounding does to positions."""
+    scene, state, _ = large
+    step = jax.jit(scene.scheme)(scene, state, jnp.asarray(1e-7))
+    assert int(step.info.status) == Status.OK
+    assert int(step.info.iterations) < 6
 
 
 run = jax.jit(march, static_argnums=(2, 3))
