@@ -348,7 +348,7 @@ def orders(quick: bool) -> pd.DataFrame:
     rows = []
     for drag in ("rss",) if quick else ("rss", "rft"):
         for inertia in (True,) if quick else (True, False):
-            times = {"step": 0.01, "end": 2.0, "inertia": inertia}
+            times = {"scheme": "trbdf2", "step": 0.01, "end": 2.0, "inertia": inertia}
             file = SceneFile.model_validate(
                 {"fluid": {"hydrodynamics": drag}, "time": times, "solver": {"tolerance": 1e-12}}
             )

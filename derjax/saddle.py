@@ -34,9 +34,12 @@ from .krylov import gmres
 from .potential import Diagonal, Dofs, Elements, ForceLaw, Mobility, Pairs, Potential
 from .pytree import Indices, pytree, static
 
-ROUGH, EXACT = (1e-2, 24), (1e-13, 80)
-"""By how much GMRES lowers the residual, and the products it may take for that: in Newton's
-method, where the coarse far field leaves as much anyway, and for derivatives."""
+ROUGH, EXACT = 1e-2, 1e-13
+"""By how much GMRES lowers the residual: in Newton's method, where the coarse far field leaves as
+much anyway, and for derivatives."""
+
+PRODUCTS = 80
+"""Of GMRES, at the most: many where filaments touch, which the preconditioner knows nothing of."""
 
 Unknowns = Float[Array, " d+m"]
 
@@ -87,7 +90,7 @@ class Saddle:
         """q with about the forces that the second equation has for it."""
         law = self.drag.law
         velocity = (q - self.drag.origin)[self.drag.dofs.array] / self.drag.time
-        alone = gmres(lambda u: law.coarse.apply(law.resist(u)), velocity, *ROUGH)
+        alone = gmres(lambda u: law.coarse.apply(law.resist(u)), velocity, ROUGH, PRODUCTS)
         return self.join(q, law.resist(alone))
 
     @property
@@ -203,7 +206,7 @@ class SaddleFactor:
         diagonal: (d,) and what is diagonal of them.
         law: of force to velocity in the products.
         near: the factor of the preconditioner.
-        effort: by how much GMRES lowers the residual, and the most products that it takes.
+        tolerance: by how much GMRES lowers the residual.
     """
 
     saddle: Saddle
@@ -211,7 +214,7 @@ class SaddleFactor:
     diagonal: Dofs
     law: ForceLaw
     near: BlockFactor
-    effort: tuple[float, int] = static()
+    tolerance: float = static()
 
     def _product(self, q: Dofs, f: Array) -> tuple[Dofs, Array]:
         """What changes of q and f do to the two equations: forces, and a displacement (m)."""
@@ -244,7 +247,7 @@ class SaddleFactor:
             force, slip = self._product(*roughly(given))
             return s.join(force / unit, slip / length)
 
-        return roughly(gmres(product, s.join(b / unit, slip / length), *self.effort))
+        return roughly(gmres(product, s.join(b / unit, slip / length), self.tolerance, PRODUCTS))
 
     def solve(self, b: Unknowns) -> Unknowns:
         """Solution z of J z = b."""
