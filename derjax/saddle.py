@@ -41,6 +41,10 @@ much anyway, and for derivatives."""
 PRODUCTS = 80
 """Of GMRES, at the most: many where filaments touch, which the preconditioner knows nothing of."""
 
+ENOUGH = 8.0
+"""Times s . R s / l is more than s . A^-1 s / 2 l, also where filaments nearly touch: there the
+fluid hardly lets them move apart."""
+
 Unknowns = Float[Array, " d+m"]
 
 
@@ -128,14 +132,14 @@ class Saddle:
 
         Where the second equation holds, the function of the saddle is the potential of the first
         one, E(q) + u . A^-1 u / 2 l. Where a slip s is left of it, it is smaller by
-        s . A^-1 s / 2 l; for that s . R s / l is added, which is more. As the equation is linear,
-        s is small from the first step on.
+        s . A^-1 s / 2 l; for that a multiple of s . R s / l is added, which is more. As the
+        equation is linear, s is small from the first step on.
         """
         q, f = self.split(z)
         gradient = self.gradient(z)
         move = (q - self.drag.origin)[self.drag.dofs.array]
         slip = self.split(gradient)[1] / self.stiffness
-        missing = self.drag.law.resist(slip) @ slip / self.drag.time
+        missing = ENOUGH * self.drag.law.resist(slip) @ slip / self.drag.time
         return self.potential.value(q) + 0.5 * f @ (move + slip) + missing, gradient
 
     def slope(self, gradient: Unknowns, direction: Unknowns) -> Array:
@@ -168,7 +172,9 @@ class Saddle:
             factor_blocks(rough),
             EXACT if exact else ROUGH,
         )
-        return solver, self.join(rounding, self.stiffness * size[self.drag.dofs.array])
+        # In the second equation every place is felt everywhere.
+        wet = size[self.drag.dofs.array]
+        return solver, self.join(rounding, self.stiffness * jnp.full_like(wet, jnp.max(wet)))
 
 
 @pytree
