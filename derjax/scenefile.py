@@ -87,6 +87,9 @@ FINEST = 3.5
 the first kind, has forces at the ends of a flagellum that alternate and grow, and drag that does
 work."""
 
+FINEST_IN_BLOCKS = 1.7
+"""The same for robots in blocks, each of which is an equation of that kind."""
+
 
 class Robot(Table):
     """[robot] Shape of the robot, in metres.
@@ -409,7 +412,8 @@ class SceneFile(Table):
         if self.solver.method == "blocks" and not self.in_blocks:
             raise ValueError(
                 "[solver] method = 'blocks': only for an implicit [time] scheme with [fluid] "
-                "drag_matrix = 'symmetric' and head_nodes = 'excluded'"
+                "drag_matrix = 'symmetric' and head_nodes = 'excluded', and a regularization of at "
+                f"most {FINEST_IN_BLOCKS:g} edges of {self.edge:.3g} m"
             )
         if robot.kind == "two_flagella" and self.head.rotation == "spin":
             raise ValueError(
@@ -447,7 +451,8 @@ class SceneFile(Table):
         """Whether the scene can be solved for in blocks."""
         local = self.fluid.hydrodynamics != "rss"
         usual = self.fluid.drag_matrix == "symmetric" and self.head_nodes == "excluded"
-        return (local or usual) and self.time.scheme != "explicit"
+        sharp = self.fluid.regularization <= FINEST_IN_BLOCKS * self.edge
+        return (local or (usual and sharp)) and self.time.scheme != "explicit"
 
     @property
     def touching(self) -> bool:

@@ -292,3 +292,5 @@ def test_large_robots_are_solved_for_in_blocks_unless_told_otherwise():
         SceneFile.model_validate(
             {"solver": {"method": "blocks"}, "fluid": {"drag_matrix": "collocation"}}
         )
+    # 160 nodes, so close that blocks of them have no positive drag.
+    assert build(SceneFile.model_validate({"robot": {"edge_length": 8e-4}}))[0].layout is None
