@@ -77,6 +77,7 @@ rpm = 60
 
 [time]
 step = 0.02
+scheme = "trbdf2"
 end = 5.0
 inertia = false     # at such Reynolds numbers mass hardly counts
 
