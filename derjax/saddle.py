@@ -174,7 +174,8 @@ class Saddle:
         )
         # In the second equation every place is felt everywhere.
         wet = size[self.drag.dofs.array]
-        return solver, self.join(rounding, self.stiffness * jnp.full_like(wet, jnp.max(wet, initial=0.0)))
+        felt = self.stiffness * jnp.full_like(wet, jnp.max(wet, initial=0.0))
+        return solver, self.join(rounding, felt)
 
 
 @pytree
