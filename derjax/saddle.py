@@ -121,8 +121,12 @@ class Saddle:
     def gradient(self, z: Unknowns) -> Unknowns:
         """What is left of the two equations; of degrees of freedom that are held, how far they
         are from where they should be."""
+        return self._left(z, self.potential.gradient(self.split(z)[0]))
+
+    def _left(self, z: Unknowns, gradient: Dofs) -> Unknowns:
+        """`gradient`, where that of E is known."""
         q, f = self.split(z)
-        force = self.potential.gradient(q) + self._spread(f)
+        force = gradient + self._spread(f)
         move = (q - self.drag.origin)[self.drag.dofs.array]
         slip = move - self.drag.time * self.drag.law.apply(f)
         return self.join(jnp.where(self.free > 0, force, q - self.held), self.stiffness * slip)
@@ -136,11 +140,12 @@ class Saddle:
         equation is linear, s is small from the first step on.
         """
         q, f = self.split(z)
-        gradient = self.gradient(z)
+        value, gradient = self.potential.value_and_gradient(q)
+        gradient = self._left(z, gradient)
         move = (q - self.drag.origin)[self.drag.dofs.array]
         slip = self.split(gradient)[1] / self.stiffness
         missing = ENOUGH * self.drag.law.resist(slip) @ slip / self.drag.time
-        return self.potential.value(q) + 0.5 * f @ (move + slip) + missing, gradient
+        return value + 0.5 * f @ (move + slip) + missing, gradient
 
     def slope(self, gradient: Unknowns, direction: Unknowns) -> Array:
         """Of that potential: along with q, f changes by itself."""

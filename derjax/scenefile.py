@@ -305,7 +305,7 @@ class Time(Table):
         scheme = given.get("scheme", "euler")
         if scheme == "explicit":
             raise ValueError("step: must be given for scheme = 'explicit'")
-        return {**given, "tolerance": TOLERANCES["trbdf2" if scheme == "trbdf2" else "euler"]}
+        return {**given, "tolerance": TOLERANCES.get(str(scheme))}
 
     @model_validator(mode="after")
     def _implicit(self) -> Self:

@@ -32,7 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Runs `derjax sweep`; see `derjax.sweeps.sweep`.
+    """Runs `derjax sweep`; see `derjax.sweeps.sweep.sweep`.
 
     Raises:
         InputError: an option cannot be right; nothing has been written.
