@@ -52,7 +52,7 @@ def seconds(program: Callable[[], object]) -> float:
 def measure(end: float, rounds: int) -> list[dict[str, object]]:
     """A row for each batch, on the devices of this process."""
     file = SceneFile.model_validate({"time": {"end": end}})
-    n_frames, steps = file.time.n_frames, file.time.steps_per_frame
+    n_frames, steps = file.n_frames, file.steps_per_frame
     march = jax.jit(derjax.march, static_argnums=(2, 3))
 
     def single(k: int) -> Callable[[], object]:

@@ -141,7 +141,7 @@ def simulate(file: SceneFile, rpm: float) -> Length:
     """Run a scene at a motor rate, from rest; stops at the first step that fails."""
     built, state = derjax.build(file, {"rpm": rpm})
     lengths = [np.atleast_1d(head_to_tail(built, state.q))]
-    report, n_steps = new_report(), file.time.n_steps
+    report, n_steps = new_report(), file.n_steps
     with Progress(n_steps, "steps") as progress:
         for done in range(0, n_steps, STEPS_PER_CALL):
             state, length, report = _advance(built, state, report)
@@ -151,7 +151,7 @@ def simulate(file: SceneFile, rpm: float) -> Length:
                 break
     kept = 1 + min(int(report.steps), n_steps)
     ratio = np.concatenate(lengths)[:kept] / lengths[0]
-    return Length(file.time.step * np.arange(kept), ratio, report)
+    return Length(file.step * np.arange(kept), ratio, report)
 
 
 def measure(run: Length) -> Measured:

@@ -41,7 +41,7 @@ def bundled() -> derjax.State:
     """The state after some time with contact."""
     file = scene(contact={"capacity": 400})
     built, state = derjax.build(file)
-    states, report = _rollout(built, state, file.time.n_frames, STEPS)
+    states, report = _rollout(built, state, file.n_frames, STEPS)
     report.raise_if_failed()
     return jax.tree.map(lambda leaf: leaf[-1], states)
 

@@ -30,13 +30,13 @@ def main() -> None:
     dataset = load_dataset(DATASET)
     scene = dataset.scene
     parameters = choose(tuple(TRUTH), scene.parameters)
-    steps = [interpolation(run.time, scene.time.step).n_steps for run in dataset.runs]
+    steps = [interpolation(run.time, scene.step).n_steps for run in dataset.runs]
     simulator = Simulator(scene, parameters, steps_per_call(max(steps)))
     free = parameters.free(TRUTH)
     rates = [motor_rate(scene, run) for run in dataset.runs]
     simulator.compile(free, rates[0])
     simulated = simulator.runs(free, rates, steps)
-    perfect = residuals(dataset.runs, simulated, scene.time.step)
+    perfect = residuals(dataset.runs, simulated, scene.step)
     noise = np.array(NOISE)[perfect.kind]
     fractions = coverage(perfect, noise, SEEDS)
     known = uncertainty(replace(perfect, sigma=noise), parameters.names)

@@ -85,7 +85,7 @@ _rollout = jax.jit(derjax.rollout, static_argnums=(2, 3))
 def simulate(file: SceneFile) -> Track:
     """Run a scene; raises `SolverError` if a step fails."""
     built, start = derjax.build(file)
-    states, report = _rollout(built, start, file.time.n_frames, file.time.steps_per_frame)
+    states, report = _rollout(built, start, file.n_frames, file.steps_per_frame)
     report.raise_if_failed()
     topology = built.rod.topology
     nodes = np.asarray(derjax.positions(topology, states.q))

@@ -74,7 +74,7 @@ def follow(end: float) -> pd.DataFrame:
     near = {s * d: start(file, one + s * d) for d in DIFFERENCES for s in (1, -1)}
     rows = []
     with Progress(round(end / STEP), "steps") as progress:
-        for k in range(file.time.n_frames):
+        for k in range(file.n_frames):
             state, status, change = frame_with_tangent(primal, tangent)
             primal, tangent = (primal[0], state), (tangent[0], change)
             near = {d: (built, frame(built, s)[0]) for d, (built, s) in near.items()}

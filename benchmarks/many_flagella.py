@@ -90,14 +90,14 @@ def frames(file: SceneFile) -> Iterator[Frame]:
     """A run frame by frame, up to its end or to the first step that fails."""
     built, state = derjax.build(file)
     report, count = new_report(), 0
-    compiled = _march.lower(built, state, 1, file.time.steps_per_frame, report).compile()
-    while count < file.time.n_frames and report.ok:
+    compiled = _march.lower(built, state, 1, file.steps_per_frame, report).compile()
+    while count < file.n_frames and report.ok:
         began = time.process_time()
         states, new = jax.block_until_ready(compiled(built, state, report))
         spent = time.process_time() - began
         if new.status == Status.CAPACITY:
             built = enlarge(built)
-            compiled = _march.lower(built, state, 1, file.time.steps_per_frame, report).compile()
+            compiled = _march.lower(built, state, 1, file.steps_per_frame, report).compile()
             continue
         state, report, count = jax.tree.map(lambda leaf: leaf[0], states), new, count + 1
         yield Frame(state, report, built, spent)

@@ -155,8 +155,8 @@ def robots() -> pd.DataFrame:
             plain = SceneFile.model_validate({"robot": {"edge_length": mesh}, "time": times})
             # eps stays out of the scene file, so that there is one program for every mesh.
             scene, state = derjax.build(plain, {"regularization": ratio * radius})
-            steps = jnp.asarray(plain.time.steps_per_frame)
-            states, report = _march(scene, state, plain.time.n_frames, steps, new_report())
+            steps = jnp.asarray(plain.steps_per_frame)
+            states, report = _march(scene, state, plain.n_frames, steps, new_report())
             frames = jax.tree.map(lambda a, b: np.concatenate([a[None], b]), state, states)
             summary = summarise(to_dataset(plain, scene, frames), plain)
             edge = float(scene.rod.rest_length[0])

@@ -172,7 +172,7 @@ def settings(case: str, quick: bool) -> list[Setting]:
         for mesh in (5e-3,) if quick else MESHES[case]:
             fixed = [Setting(case, drag, mesh, s, h) for s in ("trbdf2", "euler") for h in steps]
             adaptive = [
-                Setting(case, drag, mesh, s, SceneFile().time.step, tolerance)
+                Setting(case, drag, mesh, s, SceneFile().step, tolerance)
                 for s in ("trbdf2", "euler")
                 for tolerance in tolerances
             ]
@@ -181,7 +181,7 @@ def settings(case: str, quick: bool) -> list[Setting]:
             explicit = EXPLICIT if case == "single" else EXPLICIT[:1]
             chosen += [Setting(case, drag, 5e-3, "explicit", h) for h in explicit]
             finer = (1.25e-3,) if case == "single" else (FINEST_MESH,)
-            start = SceneFile().time.step
+            start = SceneFile().step
             chosen += [Setting(case, drag, m, "euler", start, MESH_TOLERANCE) for m in finer]
     return chosen
 

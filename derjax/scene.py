@@ -94,7 +94,7 @@ def _build(scene: SceneFile, p: dict[str, Array]) -> tuple[Scene, State]:
         terms=tuple(_terms(scene, p, rod, body.stiff_hinges)),
         motor=_motor(scene, p, rod.topology),
         newton=_newton(scene, p, rod),
-        step_length=jnp.asarray(scene.time.step),
+        step_length=jnp.asarray(scene.step),
         scheme=_scheme(scene),
         control=_control(scene, rod),
         layout=_layout(scene, rod.topology),
@@ -294,7 +294,7 @@ def _control(scene: SceneFile, rod: Rod) -> Control | None:
     return Control(
         tolerance=jnp.asarray(scene.time.tolerance),
         scale=jnp.where(position, contour, 1.0),
-        shortest=jnp.asarray(SHORTEST * scene.time.step),
+        shortest=jnp.asarray(SHORTEST * scene.step),
         order=1 if scene.time.scheme == "euler" else 2,
     )
 

@@ -16,6 +16,9 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
+from .errors import InputError
+from .timing import TimeGrid, time_grid
+
 T = TypeVar("T", bound=BaseModel)
 
 
@@ -62,12 +65,6 @@ UNITS = {
     "friction": "1",
 }
 """Units of the parameters of a scene."""
-
-MOST_STEPS = 2**31 - 1
-
-
-class InputError(ValueError):
-    """Something is wrong with what the user gave; the message names file, key or line."""
 
 
 class Table(BaseModel):
@@ -273,10 +270,6 @@ class Friction(Table):
     slip_speed: Positive = 1e-3
 
 
-def _is_whole(ratio: float) -> bool:
-    return round(ratio) >= 1 and bool(np.isclose(ratio, round(ratio), rtol=1e-9, atol=1e-6))
-
-
 TOLERANCES = {"euler": 2e-3, "trbdf2": 1e-4}
 """Of steps that adapt, unless another one is given: some 0.3 and 0.1 % in speed and head rate."""
 
@@ -284,13 +277,14 @@ TOLERANCES = {"euler": 2e-3, "trbdf2": 1e-4}
 class Time(Table):
     """[time] Step, end and interval of saved frames (s), and the scheme.
 
+    `step` and `frame` are by default chosen by the motors' rates (`SceneFile.grid`).
     With a `tolerance`, or with neither that nor a `step`, steps adapt to the motion: the
     estimated error of each is at most that part of the radius of a circle as long as a flagellum.
     `step` is then that of the start. The schemes are "euler", implicit and of first order,
     "trbdf2", of second order, and "explicit", with the drag of the step before.
     """
 
-    step: Positive = 0.05
+    step: Positive | None = None
     end: Positive = 20.0
     frame: Positive | None = None
     scheme: Literal["euler", "trbdf2", "explicit"] = "euler"
@@ -312,43 +306,6 @@ class Time(Table):
         if self.tolerance is not None and self.scheme == "explicit":
             raise ValueError("tolerance: steps of scheme = 'explicit' do not adapt")
         return self
-
-    @model_validator(mode="after")
-    def _whole(self) -> Self:
-        if self.step > self.end:
-            raise ValueError(f"step = {self.step:g}: must not be longer than end = {self.end:g} s")
-        if self.end / self.step > MOST_STEPS:
-            raise ValueError(f"step = {self.step:g}: {self.end / self.step:.2g} steps are too many")
-        if not _is_whole(self.end / self.step):
-            raise ValueError(f"end = {self.end:g}: must be a whole number of {self.step:g} s steps")
-        if self.frame is not None:
-            if not _is_whole(self.frame / self.step):
-                raise ValueError(
-                    f"frame = {self.frame:g}: must be a whole number of {self.step:g} s steps"
-                )
-            if self.n_steps % self.steps_per_frame:
-                raise ValueError(
-                    f"frame = {self.frame:g}: end = {self.end:g} s must be a whole number of frames"
-                )
-        return self
-
-    @property
-    def n_steps(self) -> int:
-        """Steps of the run."""
-        return round(self.end / self.step)
-
-    @property
-    def steps_per_frame(self) -> int:
-        """Steps from one saved frame to the next; without `frame`, about 0.1 s of them."""
-        if self.frame is not None:
-            return round(self.frame / self.step)
-        most = max(1, round(0.1 / self.step))
-        return max(k for k in range(1, most + 1) if self.n_steps % k == 0)
-
-    @property
-    def n_frames(self) -> int:
-        """Saved frames, not counting the start."""
-        return self.n_steps // self.steps_per_frame
 
 
 class Gravity(Table):
@@ -405,6 +362,10 @@ class SceneFile(Table):
                 f"times the length of the edges, {self.edge:.3g} m: the drag of the fluid is not "
                 "positive on so fine a mesh; try a larger [robot] edge_length"
             )
+        try:
+            _ = self.grid
+        except ValueError as error:
+            raise ValueError(f"[time] {error}") from None
         if len(self.motor.rates) not in (1, robot.count):
             raise ValueError(
                 f"[motor] rpm: {len(self.motor.rates)} rates given for {_flagella(robot.count)}"
@@ -430,6 +391,37 @@ class SceneFile(Table):
         if self.friction is not None and self.contact_method == "spillmann_teschner":
             raise ValueError("[friction]: is not part of [contact] method = 'spillmann_teschner'")
         return self
+
+    @property
+    def fastest_rpm(self) -> float:
+        """The largest rate of any motor at any time, rpm, without sign."""
+        table = self.motor_table
+        return float(np.max(np.abs(self.motor.rates if table is None else table.rpm)))
+
+    @property
+    def grid(self) -> TimeGrid:
+        """How the run is divided into steps and frames."""
+        return time_grid(self.time.end, self.time.step, self.time.frame, self.fastest_rpm)
+
+    @property
+    def step(self) -> float:
+        """Length of a step, s, or that of the first one if steps adapt."""
+        return self.grid.step
+
+    @property
+    def steps_per_frame(self) -> int:
+        """Steps (of the length `step`) from one saved frame to the next."""
+        return self.grid.steps_per_frame
+
+    @property
+    def n_frames(self) -> int:
+        """Saved frames, not counting the start."""
+        return self.grid.n_frames
+
+    @property
+    def n_steps(self) -> int:
+        """Steps of the run, if they do not adapt."""
+        return self.n_frames * self.steps_per_frame
 
     @property
     def contact_method(self) -> Literal["smooth", "spillmann_teschner", "none"]:
@@ -531,15 +523,26 @@ def load_scene(path: str | Path) -> SceneFile:
             cannot be; the message names file and key.
     """
     path = Path(path)
-    scene = check(SceneFile, read_toml(path), path)
-    if scene.motor.table is not None:
-        try:
-            table = read_motor_table(
-                path.parent / scene.motor.table, scene.time.end, scene.robot.count
-            )
-        except InputError as error:
-            raise InputError(f"{path}: [motor] table: {error}") from None
-        scene = scene.model_copy(update={"motor_table": table})
+    return with_motor_table(check(SceneFile, read_toml(path), path), path)
+
+
+def with_motor_table(scene: SceneFile, path: Path) -> SceneFile:
+    """The scene with the motor table that it names, if it does; `path` is that of its file.
+
+    Raises:
+        InputError: the table cannot be read or does not fit the scene.
+    """
+    if scene.motor.table is None:
+        return scene
+    try:
+        table = read_motor_table(path.parent / scene.motor.table, scene.time.end, scene.robot.count)
+    except InputError as error:
+        raise InputError(f"{path}: [motor] table: {error}") from None
+    scene = scene.model_copy(update={"motor_table": table})
+    try:
+        _ = scene.grid
+    except ValueError as error:
+        raise InputError(f"{path}: [time] {error}") from None
     return scene
 
 

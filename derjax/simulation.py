@@ -91,27 +91,27 @@ def simulate(options: Options) -> int:
     recording = load_checkpoint(file, checkpoint) if options.resume else new_recording(start)
     if not options.quiet:
         print(f"compiling {options.scene} ...", file=sys.stderr, flush=True)
-    advance = compile_frame(scene, recording, file.time.steps_per_frame)
+    advance = compile_frame(scene, recording, file.steps_per_frame)
 
     def with_more_contacts() -> Advance:
         nonlocal scene
         scene = enlarge(scene)
-        return compile_frame(scene, recording, file.time.steps_per_frame)
+        return compile_frame(scene, recording, file.steps_per_frame)
 
     options.output.mkdir(parents=True, exist_ok=True)
 
     interrupted, saved = False, time.monotonic()
-    frame = file.time.steps_per_frame * file.time.step
+    frame = file.steps_per_frame * file.step
     with (
         interruptible("stopping after this frame; Ctrl-C again quits without saving") as stopping,
         Progress(
             file.time.end, "simulated s", frame * recording.n_frames, options.quiet
         ) as progress,
     ):
-        for _ in record(advance, recording, file.time.n_frames, with_more_contacts):
+        for _ in record(advance, recording, file.n_frames, with_more_contacts):
             progress.update(frame * recording.n_frames)
             if stopping():
-                interrupted = recording.report.ok and recording.n_frames < file.time.n_frames
+                interrupted = recording.report.ok and recording.n_frames < file.n_frames
                 break
             if time.monotonic() - saved > SECONDS_BETWEEN_SAVES:
                 save_checkpoint(recording, file, checkpoint)

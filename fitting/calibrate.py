@@ -256,7 +256,7 @@ class _Calibration:
         self, dataset: Dataset, parameters: Parameters, progress: Callable[[Progress], None]
     ) -> None:
         self.dataset, self.parameters = dataset, parameters
-        self.step = dataset.scene.time.step
+        self.step = dataset.scene.step
         self.rates = [motor_rate(dataset.scene, run) for run in dataset.runs]
         whole = [interpolation(run.time, self.step).n_steps for run in dataset.runs]
         self.whole = sum(whole)

@@ -103,7 +103,7 @@ def track_loss(
     Where the noise is not given, residuals are measured in the range of their track.
     """
     chosen = dataset.runs if runs is None else tuple(runs)
-    step = dataset.scene.time.step
+    step = dataset.scene.step
 
     def objective(free: Float[Array, " p"]) -> tuple[Array, Array]:
         total, count, status = jnp.zeros(()), 0, jnp.zeros((), jnp.int32)

@@ -94,7 +94,7 @@ def design(
 
     def loss(free: Array) -> tuple[Array, Array]:
         built, state = build_with(scene, parameters, free, rpm)
-        frames, report = rollout(built, state, scene.time.n_frames, scene.time.steps_per_frame)
+        frames, report = rollout(built, state, scene.n_frames, scene.steps_per_frame)
         return -merit(built, frames), report.status
 
     def values(free: Array) -> dict[str, float]:

@@ -162,7 +162,7 @@ class Simulator:
             done += self.steps_per_call
             on_steps(self.steps_per_call)
         return Simulated(
-            time=self.scene.time.step * np.arange(done + 1),
+            time=self.scene.step * np.arange(done + 1),
             observed=np.concatenate(observed),
             sensitivity=np.moveaxis(np.concatenate(sensitivity, axis=1), 0, -1),
             report=report,

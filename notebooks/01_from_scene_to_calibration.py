@@ -184,7 +184,7 @@ plt.close(figure)
 
 # %%
 run = jax.jit(rollout, static_argnums=(2, 3))
-states, report = run(scene, start, file.time.n_frames, file.time.steps_per_frame)
+states, report = run(scene, start, file.n_frames, file.steps_per_frame)
 report.raise_if_failed()
 print(f"{int(report.steps)} steps, {int(report.iterations)} Newton iterations: {report.message()}")
 
@@ -226,7 +226,7 @@ nominal = jnp.log(jnp.array([file.parameters[name] for name in NAMES]))
 def swim(logarithms, run=rollout):
     """Displacement (m) and angle (rad) of the head at the end of the run."""
     built, rest = build(file, dict(zip(NAMES, jnp.exp(logarithms), strict=True)))
-    states, _ = run(built, rest, file.time.n_frames, file.time.steps_per_frame)
+    states, _ = run(built, rest, file.n_frames, file.steps_per_frame)
     end = jax.tree.map(lambda leaf: leaf[-1], states)
     moved = positions(topology, end.q - rest.q)[0, 0]
     turned = angles(topology, end.q)[0] + 2 * jnp.pi * end.turns[0]

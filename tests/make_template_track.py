@@ -16,7 +16,7 @@ if __name__ == "__main__":
     scene, start = derjax.build(file, TRUTH)
     run = jax.jit(derjax.rollout, static_argnums=(2, 3))
     n_frames = round(file.time.end)
-    states, report = run(scene, start, n_frames, file.time.n_steps // n_frames)
+    states, report = run(scene, start, n_frames, file.n_steps // n_frames)
     report.raise_if_failed()
     states = jax.tree.map(lambda first, rest: np.concatenate([first[None], rest]), start, states)
     topology = scene.rod.topology

@@ -37,7 +37,7 @@ def test_integers_will_do(tmp_path):
     scene = load_scene(scene_with(tmp_path, "[fluid]\nviscosity = 2\n[time]\nend = 3\n"))
     assert scene.fluid.viscosity == 2.0
     assert isinstance(scene.fluid.viscosity, float)
-    assert scene.time.n_steps == 60
+    assert scene.n_steps == 60
 
 
 def test_every_parameter_has_a_unit():
@@ -148,17 +148,13 @@ def test_motor_table_that_is_not_there(tmp_path):
 
 def test_explicit_scheme(tmp_path):
     scene = load_scene(scene_with(tmp_path, "[time]\nscheme = 'explicit'\nstep = 1e-4\nend = 1\n"))
-    assert (scene.time.n_steps, scene.time.steps_per_frame, scene.time.n_frames) == (
-        10000,
-        1000,
-        10,
-    )
+    assert (scene.n_steps, scene.steps_per_frame, scene.n_frames) == (10000, 1000, 10)
 
 
 @pytest.mark.parametrize(("step", "end"), [(0.01, 20.0), (0.1, 0.3), (0.5, 2.0), (0.03, 0.21)])
 def test_frames_divide_the_run(step, end):
-    time = check(SceneFile, {"time": {"step": step, "end": end}}, Path("scene.toml")).time
-    assert time.n_frames * time.steps_per_frame == time.n_steps == round(end / step)
+    scene = check(SceneFile, {"time": {"step": step, "end": end}}, Path("scene.toml"))
+    assert scene.n_frames * scene.steps_per_frame == scene.n_steps == round(end / step)
 
 
 def test_template_has_every_key_with_its_default():

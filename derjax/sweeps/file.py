@@ -25,14 +25,13 @@ from ..scenefile import (
     Count,
     Finite,
     InputError,
-    MotorTable,
     SceneFile,
     Switch,
     Table,
     check,
     load_scene,
-    read_motor_table,
     read_toml,
+    with_motor_table,
 )
 
 PLACES = {
@@ -127,18 +126,7 @@ class Sweep:
         for key, value in zip(self.keys, self.points[number], strict=True):
             table, name = key.split(".")
             content.setdefault(table, {})[name] = value
-        file = check(SceneFile, content, self.scene_path)
-        if file.motor.table is None:
-            return file
-        table = self._motor_table(file)
-        return file.model_copy(update={"motor_table": table})
-
-    def _motor_table(self, file: SceneFile) -> MotorTable:
-        path = self.scene_path.parent / str(file.motor.table)
-        try:
-            return read_motor_table(path, file.time.end, file.robot.count)
-        except InputError as error:
-            raise InputError(f"{self.scene_path}: [motor] table: {error}") from None
+        return with_motor_table(check(SceneFile, content, self.scene_path), self.scene_path)
 
 
 def load_sweep(path: str | Path) -> Sweep:

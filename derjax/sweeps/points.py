@@ -18,7 +18,7 @@ from ..pytree import Indices, replace
 from ..rod import State
 from ..rollout import Report, new_report
 from ..scene import build, enlarge, touching_pairs
-from ..scenefile import Contact, Fluid, Head, InputError, Material, Motor, SceneFile
+from ..scenefile import Contact, Fluid, Head, InputError, Material, Motor, SceneFile, Time
 from ..status import Status
 from ..step import Scene
 from .file import PLACES
@@ -100,11 +100,13 @@ def _program(file: SceneFile) -> Hashable:
     shapes = jax.eval_shape(lambda: build(file))
     leaves, structure = jax.tree.flatten(shapes)
     kinds = tuple((leaf.shape, str(leaf.dtype)) for leaf in leaves)
-    return structure, kinds, file.time.n_frames, file.time.steps_per_frame
+    return structure, kinds, file.n_frames, file.steps_per_frame
 
 
 def _form(file: SceneFile) -> Hashable:
     """What scenes have in common that `build` makes of one another by their parameters alone.
+
+    That takes in steps and frames, which by default depend on the motors.
 
     Raises:
         InputError: parts of the robot overlap.
@@ -115,7 +117,7 @@ def _form(file: SceneFile) -> Hashable:
         content[table].pop(key)
     shapes = tuple((name, np.shape(value)) for name, value in file.parameters.items())
     times = file.motor_table and file.motor_table.time
-    return str(content), shapes, times, *_size(file)
+    return str(content), shapes, times, file.grid, *_size(file)
 
 
 def _size(file: SceneFile) -> tuple[int, Indices | None]:
@@ -125,6 +127,7 @@ def _size(file: SceneFile) -> tuple[int, Indices | None]:
         "fluid": Fluid(hydrodynamics="none"),
         "head": Head(),
         "motor": Motor(),
+        "time": Time.model_validate({}),
         "contact": Contact(method="none"),
         "friction": None,
         "gravity": None,
@@ -222,9 +225,9 @@ def _compile(scenes: Scene, states: State, file: SceneFile, places: int) -> None
 
 def _piece(file: SceneFile) -> tuple[int, int]:
     """Frames of a piece of a run, and steps of a frame."""
-    n_frames = file.time.n_frames
+    n_frames = file.n_frames
     pieces = max(k for k in range(1, PIECES + 1) if n_frames % k == 0)
-    return n_frames // pieces, file.time.steps_per_frame
+    return n_frames // pieces, file.steps_per_frame
 
 
 def _run(
@@ -238,7 +241,7 @@ def _run(
 
     Points whose contacts do not fit into their lists are computed again with longer ones.
     """
-    count, n_frames = len(states.time), file.time.n_frames
+    count, n_frames = len(states.time), file.n_frames
     frames_of_piece, steps_per_frame = _piece(file)
     batch, parts = spread(scenes, states, places=places), []
     for done in range(frames_of_piece, n_frames + 1, frames_of_piece):

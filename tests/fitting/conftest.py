@@ -31,7 +31,7 @@ def scene() -> SceneFile:
 @pytest.fixture(scope="session")
 def simulator(scene: SceneFile) -> Simulator:
     """Simulates it with respect to the two drag prefactors."""
-    steps = interpolation(TIMES, scene.time.step).n_steps  # as in `calibrate`: one program
+    steps = interpolation(TIMES, scene.step).n_steps  # as in `calibrate`: one program
     return Simulator(scene, choose(("C_t", "C_r"), scene.parameters), steps)
 
 
@@ -41,7 +41,7 @@ def synthetic_run(
     """The track that a perfect camera would give at some times (s)."""
     bare = Run("", times, (), np.empty((len(times), 0)), rpm)
     free = simulator.parameters.free(truth)
-    at_frames = interpolation(times, simulator.scene.time.step)
+    at_frames = interpolation(times, simulator.scene.step)
     simulated = simulator.run(free, motor_rate(simulator.scene, bare), at_frames.n_steps)
     assert simulated.report.ok
     values = at_frames(simulated.observed)

@@ -58,7 +58,7 @@ def test_many_parameters_descend_on_tracks(dataset, simulator) -> None:
     found = descend(objective, np.zeros(2), steps=12, rate=0.3)
     assert found.loss < 0.3 * found.losses[0]
 
-    at_frames = interpolation(run.time, dataset.scene.time.step)
+    at_frames = interpolation(run.time, dataset.scene.step)
     seen = simulator.run(np.zeros(2), motor_rate(dataset.scene, run), at_frames.n_steps)
     error = at_frames(seen.observed) - run.values
     scale = np.where(run.is_angle, np.ptp(run.values[:, 3]), np.ptp(run.values[:, 0]))

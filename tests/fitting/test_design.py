@@ -25,7 +25,7 @@ def merits(short):
 
     def both(free):
         built, state = build_with(short, parameters, free, jnp.array(60.0))
-        frames, _ = rollout(built, state, short.time.n_frames, short.time.steps_per_frame)
+        frames, _ = rollout(built, state, short.n_frames, short.steps_per_frame)
         found = jnp.stack([speed(built, frames), efficiency(built, frames)])
         return found, (found, frames)
 

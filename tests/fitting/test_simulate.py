@@ -38,7 +38,7 @@ def test_one_rollout_and_reverse_mode_agree_with_joined_calls(simulator, simulat
     gradient, (whole, report) = jax.jit(jax.grad(total, has_aux=True))(jnp.asarray(FREE))
     assert bool(report.ok)
     assert np.allclose(simulated.observed[: STEPS + 1], whole, rtol=0, atol=1e-10)
-    assert simulated.time[STEPS] == pytest.approx(STEPS * simulator.scene.time.step)
+    assert simulated.time[STEPS] == pytest.approx(STEPS * simulator.scene.step)
     forward = np.tensordot(weights, simulated.sensitivity[: STEPS + 1], axes=2)
     assert np.asarray(gradient) == pytest.approx(forward, rel=1e-6)
 
