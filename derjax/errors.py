@@ -1,0 +1,9 @@
+"""What is said about input: that it is wrong, or that it may not mean what it seems to."""
+
+
+class InputError(ValueError):
+    """Something is wrong with what the user gave; the message names file, key or line."""
+
+
+class InputWarning(UserWarning):
+    """Something that the user gave can be used, but perhaps not as it was meant."""
