@@ -13,7 +13,7 @@ class Motor:
     A constant rate is a table of one point.
 
     Attributes:
-        time: (p,) s, increasing.
+        time: (p,) s, increasing; where one stands there twice the rate jumps.
         rate: (p, k) rad/s of each motor; held before the first and after the last point.
     """
 
