@@ -81,7 +81,7 @@ def resistance(scene: SceneFile, whole: bool) -> np.ndarray:
         flagellum_resistance(
             *shape,
             fluid.viscosity,
-            fluid.regularization,
+            scene.regularization,
             n_edges=flagellum_edges(scene),
             handedness=robot.handedness,
             whole=whole,

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from .blocks import Layout
 from .control import Control
+from .defaults import SLIP
 from .motor import Motor
 from .neighbours import PENETRATION, pairs_apart
 from .newton import NewtonSettings
@@ -29,6 +30,7 @@ from .robots import (
     two_flagella,
 )
 from .rod import Rod, State, Topology, at_rest
+from .scenefile import Friction as FrictionTable
 from .scenefile import InputError, SceneFile
 from .schemes.corrected import corrected
 from .schemes.euler import euler
@@ -75,7 +77,7 @@ def build(scene: SceneFile, parameters: Parameters | None = None) -> tuple[Scene
     for name in parameters or {}:
         if name not in known:
             raise KeyError(f"no parameter {name!r}; the scene has {', '.join(known)}")
-    numbers = {**known, **(parameters or {})}
+    numbers = scene.parameters_with(parameters or {})
     return _build(scene, {name: jnp.asarray(value, float) for name, value in numbers.items()})
 
 
@@ -160,7 +162,7 @@ def _terms(
         contact = _contact(scene, p, rod)
         terms.append(contact)
         if scene.friction is not None and scene.rubbing:
-            terms.append(Friction(contact, p["friction"], jnp.array(scene.friction.slip_speed)))
+            terms.append(Friction(contact, p["friction"], _slip_speed(scene.friction, p)))
     if scene.contact_method == "spillmann_teschner":
         mass = _mass(scene, p, rod)
         nodes = mass[: 3 * topology.n_nodes : 3]
@@ -179,6 +181,13 @@ def _contact(scene: SceneFile, p: dict[str, Array], rod: Rod) -> Contact:
     pairs = touching_pairs(scene)
     capacity = scene.contact.capacity or 3 * rod.topology.n_edges // 2
     return Contact(p["contact_stiffness"], p["rod_radius"], pairs, min(capacity, len(pairs.array)))
+
+
+def _slip_speed(friction: FrictionTable, p: dict[str, Array]) -> Array:
+    """m/s, below which friction is like drag."""
+    if friction.slip_speed is not None:
+        return jnp.array(friction.slip_speed)
+    return SLIP * (2 * jnp.pi / 60) * jnp.max(jnp.abs(p["rpm"])) * p["rod_radius"]
 
 
 def touching_pairs(scene: SceneFile) -> Indices:

@@ -8,41 +8,29 @@ is not given has the value of the paper's table (Lim, Yadunandan & Jawed, Soft M
 import difflib
 import json
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
+from .defaults import REGULARIZATION, SLIP, completed
 from .errors import InputError
+from .fields import Count, Finite, NonNegative, Positive, Switch, Table
+from .motortable import Motor, MotorTable, read_motor_table
+from .plausibility import (
+    USUAL_LENGTHS,
+    check_density,
+    check_lengths,
+    check_modulus,
+    check_regularization,
+)
+from .textfile import LEGACY, encoding_of, read_text
 from .timing import TimeGrid, time_grid
 
 T = TypeVar("T", bound=BaseModel)
 
-
-def _unit_slip(wrong: Callable[[float], bool], rule: str, factor: float) -> AfterValidator:
-    """Refuses values that only make sense in another unit, and says what was meant."""
-
-    def validate(value: float) -> float:
-        if wrong(value):
-            said = {"rule": rule, "guess": f"{value * factor:.6g}"}
-            raise PydanticCustomError("unit", "{rule}; did you mean {guess}?", said)
-        return value
-
-    return AfterValidator(validate)
-
-
-# Numbers are strict: an integer will do for a float, a string or a boolean will not.
-Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Positive = Annotated[Finite, Field(gt=0)]
-NonNegative = Annotated[Finite, Field(ge=0)]
-Length = Annotated[Positive, _unit_slip(lambda x: x > 1, "lengths are in metres", 1e-3)]
-Modulus = Annotated[Positive, _unit_slip(lambda x: x < 10, "moduli are in pascals", 1e6)]
-Density = Annotated[Positive, _unit_slip(lambda x: x < 20, "densities are in kg/m^3", 1e3)]
-Switch = Annotated[bool, Field(strict=True)]
-Count = Annotated[int, Field(strict=True, ge=1)]
 
 UNITS = {
     "helix_radius": "m",
@@ -65,12 +53,6 @@ UNITS = {
     "friction": "1",
 }
 """Units of the parameters of a scene."""
-
-
-class Table(BaseModel):
-    """A TOML table: immutable, and strict about its keys."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 Handedness = Literal["left", "right"]
@@ -101,13 +83,13 @@ class Robot(Table):
     n_flagella: Annotated[Count, Field(le=MOST_FLAGELLA)] | None = None
     shape: Literal["helix", "straight", "arc"] = "helix"
     bend: Finite = 0.0
-    helix_radius: Length = 6.4e-3
-    pitch: Length = 44.5e-3
-    axial_length: Length = 95.4e-3
-    rod_radius: Length = 1.6e-3
-    edge_length: Length = 5.0e-3
-    head_radius: Length = 31.0e-3
-    separation: Length = 28.0e-3
+    helix_radius: Positive = USUAL_LENGTHS["helix_radius"]
+    pitch: Positive = USUAL_LENGTHS["pitch"]
+    axial_length: Positive = USUAL_LENGTHS["axial_length"]
+    rod_radius: Positive = USUAL_LENGTHS["rod_radius"]
+    edge_length: Positive = USUAL_LENGTHS["edge_length"]
+    head_radius: Positive = USUAL_LENGTHS["head_radius"]
+    separation: Positive = USUAL_LENGTHS["separation"]
     handedness: Handedness | tuple[Handedness, ...] = "left"
     phase: Finite | tuple[Finite, ...] = 0.0
 
@@ -128,6 +110,11 @@ class Robot(Table):
         """Phase of every flagellum, rad."""
         given = self.phase
         return given if isinstance(given, tuple) else (given,) * self.count
+
+    @model_validator(mode="after")
+    def _metres(self) -> Self:
+        check_lengths(self.lengths, self.model_fields_set)
+        return self
 
     @model_validator(mode="after")
     def _flagella(self) -> Self:
@@ -152,6 +139,18 @@ class Robot(Table):
         if self.bend and self.shape != "arc":
             raise ValueError(f"bend = {self.bend:g}: is only for shape = 'arc'")
         return self
+
+    @property
+    def lengths(self) -> dict[str, float]:
+        """The lengths that matter for the robot, m."""
+        unused = set()
+        if self.shape != "helix":
+            unused |= {"helix_radius", "pitch"}
+        if self.kind == "clamped":
+            unused.add("head_radius")
+        if self.count == 1:
+            unused.add("separation")
+        return {key: getattr(self, key) for key in USUAL_LENGTHS if key not in unused}
 
     @model_validator(mode="after")
     def _slender(self) -> Self:
@@ -181,23 +180,23 @@ def _flagella(count: int) -> str:
 class Material(Table):
     """[material] The flagellum: Young's modulus in Pa, density in kg/m^3."""
 
-    youngs_modulus: Modulus = 1.255e6
+    youngs_modulus: Positive = 1.255e6
     poisson_ratio: Annotated[Finite, Field(gt=-1, le=0.5)] = 0.5
-    density: Density = 1260.0
+    density: Positive = 1260.0
 
 
 class Fluid(Table):
     """[fluid] Viscosity in Pa s, density in kg/m^3, and the drag on the flagella.
 
-    The regularization (m) is by default 1.04 rod radii: the paper's table prints a tenth of
-    that, which contradicts the buckling thresholds of the same paper.
+    The regularization (m) is by default 1.04 rod radii (`defaults.REGULARIZATION`): the paper's
+    table prints a tenth of that, which contradicts the buckling thresholds of the same paper.
     """
 
     viscosity: Positive = 1.0
     fluid_density: NonNegative = 1260.0
     hydrodynamics: Literal["rss", "rft", "none"] = "rss"
     resistive: Literal["gray_hancock", "lighthill"] = "gray_hancock"
-    regularization: Length = 1.67e-3
+    regularization: Positive | None = None
     end_nodes: Literal["half", "full"] = "half"
     drag_matrix: Literal["symmetric", "collocation", "lower_triangle"] = "symmetric"
     head_nodes: Literal["excluded", "dropped"] | None = None
@@ -219,34 +218,6 @@ class Head(Table):
     mass: Positive | None = None
 
 
-FASTEST_RPM = 1e5
-
-
-class Motor(Table):
-    """[motor] A constant rate, or the path of a table with columns `time` (s) and `rpm`.
-
-    The rate is one for all motors, or a list with one for each; a table then has the columns
-    `rpm_1`, `rpm_2` and so on.
-    """
-
-    rpm: Finite | tuple[Finite, ...] = 60.0
-    table: str | None = None
-
-    @model_validator(mode="after")
-    def _one(self) -> Self:
-        if self.table is not None and "rpm" in self.model_fields_set:
-            raise ValueError("rpm: give either rpm or table, not both")
-        for rpm in self.rates:
-            if abs(rpm) > FASTEST_RPM:
-                raise ValueError(f"rpm = {rpm:g}: beyond any motor (revolutions per minute)")
-        return self
-
-    @property
-    def rates(self) -> tuple[float, ...]:
-        """The constant rates that are given, rpm: one for all motors, or one for each."""
-        return self.rpm if isinstance(self.rpm, tuple) else (self.rpm,)
-
-
 class Contact(Table):
     """[contact] What keeps rods apart.
 
@@ -263,11 +234,13 @@ class Contact(Table):
 class Friction(Table):
     """[friction] Coulomb friction of touching rods, regularised below `slip_speed` (m/s).
 
+    That is by default a part (`defaults.SLIP`) of the speed of the surface of a rod that turns
+    about its axis with the fastest motor.
     A scene without this table, or with a coefficient of zero, has no friction.
     """
 
     coefficient: Annotated[NonNegative, Field(le=10)] = 0.3
-    slip_speed: Positive = 1e-3
+    slip_speed: Positive | None = None
 
 
 TOLERANCES = {"euler": 2e-3, "trbdf2": 1e-4}
@@ -326,13 +299,6 @@ class Solver(Table):
     max_iterations: Count = 40
 
 
-class MotorTable(Table):
-    """A motor's rate over time: s and revolutions per minute, linear in between."""
-
-    time: tuple[Finite, ...]
-    rpm: tuple[Finite | tuple[Finite, ...], ...]
-
-
 class SceneFile(Table):
     """A whole scene. Hashable; its numbers are also available as `parameters`."""
 
@@ -350,22 +316,23 @@ class SceneFile(Table):
 
     @model_validator(mode="after")
     def _local(self) -> Self:
-        robot = self.robot
-        if robot.shape == "helix" and self.fluid.regularization >= robot.pitch:
+        robot, regularization = self.robot, self.regularization
+        check_regularization(regularization, robot.rod_radius)
+        check_density(self.material.density, self.fluid.fluid_density)
+        stokeslets = self.fluid.hydrodynamics == "rss"
+        if stokeslets and robot.shape == "helix" and regularization >= robot.pitch:
             raise ValueError(
-                f"[fluid] regularization = {self.fluid.regularization:g}: must be less than "
+                f"[fluid] regularization = {regularization:g}: must be less than "
                 f"the [robot] pitch of {robot.pitch:g} m"
             )
-        if self.fluid.hydrodynamics == "rss" and self.fluid.regularization > FINEST * self.edge:
+        if stokeslets and regularization > FINEST * self.edge:
             raise ValueError(
-                f"[fluid] regularization = {self.fluid.regularization:g}: more than {FINEST:g} "
+                f"[fluid] regularization = {regularization:g}: more than {FINEST:g} "
                 f"times the length of the edges, {self.edge:.3g} m: the drag of the fluid is not "
                 "positive on so fine a mesh; try a larger [robot] edge_length"
             )
-        try:
-            _ = self.grid
-        except ValueError as error:
-            raise ValueError(f"[time] {error}") from None
+        if self.motor.table is None or self.motor_table is not None:
+            self.check_motion()
         if len(self.motor.rates) not in (1, robot.count):
             raise ValueError(
                 f"[motor] rpm: {len(self.motor.rates)} rates given for {_flagella(robot.count)}"
@@ -391,6 +358,32 @@ class SceneFile(Table):
         if self.friction is not None and self.contact_method == "spillmann_teschner":
             raise ValueError("[friction]: is not part of [contact] method = 'spillmann_teschner'")
         return self
+
+    def check_motion(self) -> None:
+        """Checks what depends on the rates of the motors, once they are known.
+
+        Raises:
+            ValueError: the modulus has another unit, or steps, frames and end do not divide one
+                another, or friction of a robot whose motors stand still has no slip speed.
+        """
+        if self.fluid.hydrodynamics != "none":
+            check_modulus(
+                self.material.youngs_modulus,
+                self.robot.rod_radius,
+                self.robot.axial_length,
+                self.fluid.viscosity,
+                2 * np.pi / 60 * self.fastest_rpm,
+            )
+        try:
+            _ = self.grid
+        except ValueError as error:
+            raise ValueError(f"[time] {error}") from None
+        friction = self.friction
+        if self.rubbing and friction and friction.slip_speed is None and self.fastest_rpm == 0:
+            raise ValueError(
+                "[friction] slip_speed: must be given where all motors stand still (m/s; by "
+                f"default it is {SLIP:g} of the speed of the surface of a rod that a motor turns)"
+            )
 
     @property
     def fastest_rpm(self) -> float:
@@ -443,8 +436,13 @@ class SceneFile(Table):
         """Whether the scene can be solved for in blocks."""
         local = self.fluid.hydrodynamics != "rss"
         usual = self.fluid.drag_matrix == "symmetric" and self.head_nodes == "excluded"
-        sharp = self.fluid.regularization <= FINEST_IN_BLOCKS * self.edge
+        sharp = self.regularization <= FINEST_IN_BLOCKS * self.edge
         return (local or (usual and sharp)) and self.time.scheme != "explicit"
+
+    @property
+    def regularization(self) -> float:
+        """Of Stokeslet segments, m."""
+        return self.fluid.regularization or REGULARIZATION * self.robot.rod_radius
 
     @property
     def touching(self) -> bool:
@@ -480,6 +478,18 @@ class SceneFile(Table):
 
         SI units, and `rpm` in revolutions per minute. With a motor table `rpm` is an array.
         """
+        return self.parameters_with({})
+
+    def parameters_with(self, others: Mapping[str, Any]) -> dict[str, Any]:
+        """`parameters`, some of them replaced by `others`.
+
+        What the file does not give follows from the others, as far as it does so by default.
+        """
+        return completed({**self._numbers, **others})
+
+    @property
+    def _numbers(self) -> dict[str, Any]:
+        """The parameters that the file gives or has defaults for; None for those that follow."""
         robot, material, fluid, head = self.robot, self.material, self.fluid, self.head
         numbers = {
             "helix_radius": robot.helix_radius,
@@ -506,8 +516,7 @@ class SceneFile(Table):
         if robot.count > 1:
             numbers["separation"] = robot.separation
         if self.contact_method == "smooth":
-            default = material.youngs_modulus * robot.rod_radius
-            numbers["contact_stiffness"] = self.contact.stiffness or default
+            numbers["contact_stiffness"] = self.contact.stiffness
         if self.rubbing and self.friction is not None:
             numbers["friction"] = self.friction.coefficient
         if isinstance(numbers["rpm"], tuple):
@@ -535,27 +544,26 @@ def with_motor_table(scene: SceneFile, path: Path) -> SceneFile:
     if scene.motor.table is None:
         return scene
     try:
-        table = read_motor_table(path.parent / scene.motor.table, scene.time.end, scene.robot.count)
+        table = read_motor_table(
+            path.parent / scene.motor.table, scene.motor, scene.time.end, scene.robot.count
+        )
     except InputError as error:
         raise InputError(f"{path}: [motor] table: {error}") from None
     scene = scene.model_copy(update={"motor_table": table})
     try:
-        _ = scene.grid
+        scene.check_motion()
     except ValueError as error:
-        raise InputError(f"{path}: [time] {error}") from None
+        raise InputError(f"{path}: {error}") from None
     return scene
 
 
 def read_toml(path: Path) -> dict[str, Any]:
     """The contents of a TOML file; `InputError` if there is none."""
-    text = ""
+    if encoding_of(path) in LEGACY:
+        raise InputError(f"{path}: cannot be read: it is not UTF-8; save it in that encoding")
+    text = read_text(path)
     try:
-        text = path.read_text(encoding="utf-8")
         return tomllib.loads(text)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from None
     except tomllib.TOMLDecodeError as error:
         end = f"at end of document, line {text.count(chr(10)) + 1}"
         said = str(error).replace("at end of document", end)
@@ -670,49 +678,3 @@ def _known_keys(model: type[BaseModel], tables: list[Any] | None = None) -> list
             return []
         model = found
     return [name for name, field in model.model_fields.items() if not field.exclude]
-
-
-def read_motor_table(path: Path, end: float, n_motors: int = 1) -> MotorTable:
-    """A CSV file with columns `time` (s) and `rpm`, which must cover the run up to `end`.
-
-    With several motors it may instead have a column for each, `rpm_1`, `rpm_2` and so on.
-
-    Raises:
-        InputError: no such file, a missing column, a value that is not a finite number, times
-            that do not increase, or a table that does not cover 0 to `end`.
-    """
-    import pandas as pd  # slow to import, and only needed here
-
-    try:
-        frame = pd.read_csv(path, comment="#", skipinitialspace=True)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (ValueError, OSError) as error:
-        raise InputError(f"{path}: not a CSV table: {error}") from None
-    frame.columns = frame.columns.astype(str).str.strip()
-    columns = ["rpm"]
-    if n_motors > 1 and "rpm" not in frame.columns:
-        columns = [f"rpm_{k + 1}" for k in range(n_motors)]
-    if missing := {"time", *columns} - set(frame.columns):
-        raise InputError(
-            f"{path}: no column {' or '.join(sorted(missing))}; a motor table has the columns "
-            f"time (s) and {', '.join(columns)}, this one has {', '.join(frame.columns)}"
-        )
-    numbers = frame[["time", *columns]].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
-    time, rpm = numbers[:, 0], numbers[:, 1:]
-    if len(time) == 0:
-        raise InputError(f"{path}: the table is empty")
-    if len(bad := np.flatnonzero(~np.isfinite(numbers).all(axis=1))):
-        raise InputError(f"{path}: row {bad[0] + 1}: not a finite number")
-    if len(bad := np.flatnonzero((abs(rpm) > FASTEST_RPM).any(axis=1))):
-        worst = abs(rpm[bad[0]]).max()
-        raise InputError(f"{path}: row {bad[0] + 1}: rpm = {worst:g}: beyond any motor")
-    if len(bad := np.flatnonzero(np.diff(time) <= 0)):
-        raise InputError(f"{path}: row {bad[0] + 2}: times must increase")
-    if time[0] > 0 or time[-1] < end * (1 - 1e-9):
-        raise InputError(
-            f"{path}: the motor table covers {time[0]:g} to {time[-1]:g} s, "
-            f"but the run lasts from 0 to {end:g} s ([time] end)"
-        )
-    rates = rpm[:, 0].tolist() if len(columns) == 1 else [tuple(row) for row in rpm.tolist()]
-    return MotorTable(time=tuple(time.tolist()), rpm=tuple(rates))
