@@ -7,6 +7,7 @@ of edges, and a ball for the head if there is one. `derjax.viewer` shows the sam
 import dataclasses
 import math
 import shutil
+import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -278,7 +279,11 @@ def write_mp4(film: Film, path: Path, tick: Tick = lambda done: None) -> None:
             with suppress(Exception):  # it ends ffmpeg, which may have got the Ctrl-C too
                 writer.finish()
             raise
-        writer.finish()
+        try:
+            writer.finish()
+        except subprocess.CalledProcessError as error:
+            said = str(error.stderr).strip().splitlines() or [str(error)]
+            raise OSError(f"ffmpeg: {said[-1]}") from error
 
 
 def ffmpeg() -> str:

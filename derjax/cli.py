@@ -7,7 +7,8 @@ imported when it is needed. Such a module has
     configure(parser) -> None    adds its arguments to an `argparse.ArgumentParser`
     run(args) -> int             does the work; returns the exit code
 
-Exit codes: 0 done, 2 wrong input or a run that could not be completed, 130 interrupted.
+Exit codes: 0 done, 2 wrong input or a run that could not be completed, 130 interrupted, by Ctrl-C
+or by SIGTERM.
 """
 
 import argparse
@@ -15,6 +16,7 @@ import sys
 from collections.abc import Sequence
 from importlib.metadata import EntryPoint, entry_points, version
 
+from .progress import terminated_like_interrupted
 from .runtime import enable_compilation_cache, use_one_blas_thread
 from .scenefile import InputError
 from .status import SolverError
@@ -39,7 +41,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         args = _parser(commands, argv).parse_args(argv)
         enable_compilation_cache()
         use_one_blas_thread()
-        return args.run(args)
+        with terminated_like_interrupted():
+            return args.run(args)
     except (InputError, SolverError, OSError) as error:
         print(f"derjax: error: {error}", file=sys.stderr)
         return FAILED

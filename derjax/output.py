@@ -5,7 +5,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from .errors import InputError
-from .files import writable_directory
+from .files import atomic_path, writable_directory
 from .locking import locked
 
 Signature = tuple[int, int, int]
@@ -38,14 +38,17 @@ class Output:
 
     @contextmanager
     def replacing(self, name: str) -> Iterator[Path]:
-        """The path of a file that the block writes, in one go.
+        """A temporary path for the block to write, which then takes the place of the file.
 
         Raises:
             InputError: it must not be replaced.
+            WriteError: it cannot be written.
         """
         self.check([name])
         path = self.path / name
-        yield path
+        with atomic_path(path) as temporary:
+            yield temporary
+            self.check([name])
         self._known[name] = _signature(path)
 
     def remove(self, name: str) -> None:

@@ -100,3 +100,23 @@ def interruptible(message: str) -> Iterator[Callable[[], bool]]:
     finally:
         for number, handler in zip(signals, old, strict=True):
             signal.signal(number, handler)
+
+
+@contextmanager
+def terminated_like_interrupted() -> Iterator[None]:
+    """Lets SIGTERM, by which queues of clusters end a job, do what Ctrl-C does.
+
+    Outside of the main thread, where signals cannot be caught, nothing changes.
+    """
+
+    def handle(_signal: int, _frame: object) -> None:
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    old = signal.signal(signal.SIGTERM, handle)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, old)

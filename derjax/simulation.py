@@ -4,6 +4,7 @@ import dataclasses
 import datetime
 import shlex
 import sys
+import tempfile
 import time
 from importlib.metadata import version
 from pathlib import Path
@@ -13,7 +14,8 @@ import jax
 
 from . import summary as summaries
 from . import trajectory
-from .files import atomic_path
+from .errors import InputError
+from .output import Output, output_directory
 from .progress import Progress, interruptible
 from .recording import (
     Advance,
@@ -25,9 +27,10 @@ from .recording import (
     save_checkpoint,
 )
 from .scene import build, enlarge
-from .scenefile import InputError, SceneFile, load_scene
+from .scenefile import SceneFile, load_scene
 from .status import SolverError, Status
 from .step import Scene
+from .textfile import read_text
 
 TRAJECTORY = "trajectory.nc"
 SUMMARY = "summary.json"
@@ -35,7 +38,7 @@ CHECKPOINT = "checkpoint.npz"
 FIGURES = {f"{name}.png": name for name in ("track", "shape", "speed", "bundle")}
 """Files of figures, and the functions of `plots` that draw them."""
 
-SECONDS_BETWEEN_SAVES = 30.0
+SECONDS_TO_FIRST_SAVE, SECONDS_BETWEEN_SAVES = 5.0, 30.0
 DONE, INTERRUPTED = 0, 130
 
 
@@ -70,19 +73,28 @@ def simulate(options: Options) -> int:
     """Runs a scene file and writes trajectory, summary and figures.
 
     Ctrl-C stops after the current frame and leaves a checkpoint to resume from; there also is
-    a new checkpoint every half a minute.
+    one after a few seconds and then every half a minute. If the disk is full, the run goes on
+    all the same.
 
     Returns:
         The exit code: 0 done, 130 interrupted.
 
     Raises:
-        InputError: the scene file is wrong, or there are results that must not be overwritten;
-            nothing has been written.
+        InputError: the scene file is wrong, the directory cannot be written to, another program
+            writes there, or there are results that must not be overwritten; nothing has been
+            written. Or results could not be written at the end; the message says where what was
+            computed is kept.
         SolverError: a step failed; what was computed up to then has been written.
     """
     file = load_scene(options.scene)
     sources = _sources(options.scene, file)
-    _check_output(options)
+    with output_directory(options.output) as output:
+        _check_output(options)
+        return _simulate(options, file, sources, output)
+
+
+def _simulate(options: Options, file: SceneFile, sources: dict[str, str], output: Output) -> int:
+    """`simulate`, with the contents of all files, in a directory that can be written to."""
     try:
         scene, start = build(file)
     except InputError as error:
@@ -98,9 +110,8 @@ def simulate(options: Options) -> int:
         scene = enlarge(scene)
         return compile_frame(scene, recording, file.steps_per_frame)
 
-    options.output.mkdir(parents=True, exist_ok=True)
-
-    interrupted, saved = False, time.monotonic()
+    interrupted = False
+    keeper = _Keeper(file, output)
     frame = file.steps_per_frame * file.step
     with (
         interruptible("stopping after this frame; Ctrl-C again quits without saving") as stopping,
@@ -113,39 +124,77 @@ def simulate(options: Options) -> int:
             if stopping():
                 interrupted = recording.report.ok and recording.n_frames < file.n_frames
                 break
-            if time.monotonic() - saved > SECONDS_BETWEEN_SAVES:
-                save_checkpoint(recording, file, checkpoint)
-                saved = time.monotonic()
+            keeper.save_now_and_then(recording)
 
-    save_checkpoint(recording, file, checkpoint)  # lest writing the results should fail
-    outcome = _outcome(recording, options.command("--resume") if interrupted else None)
-    summary = _write_results(options, file, scene, recording, sources | outcome)
+    kept = keeper.save(recording)  # lest writing the results should fail
+    if interrupted:
+        kept = kept or keeper.rescue(recording)
+    outcome = _outcome(recording, _advice(options, kept) if interrupted else None)
+    try:
+        summary = _write_results(options, file, scene, recording, sources | outcome, output)
+    except (InputError, OSError) as error:
+        kept = kept or keeper.rescue(recording)
+        raise InputError(f"{error}. {_advice(options, kept)}") from error
     if interrupted:
         reached = f"t = {summary['time_s']:g} of {file.time.end:g} s"
-        print(f"derjax: at {reached}: {outcome['message']}", file=sys.stderr)
+        print(f"derjax: at {reached}: interrupted. {_advice(options, kept)}", file=sys.stderr)
         return INTERRUPTED
-    checkpoint.unlink(missing_ok=True)
+    output.remove(CHECKPOINT)
     if not recording.report.ok:
-        kept = f"What was computed until then is in {options.output}"
-        raise SolverError(f"{options.scene}: {outcome['message']} {kept}")
+        until = f"What was computed until then is in {options.output}"
+        raise SolverError(f"{options.scene}: {outcome['message']} {until}")
     if not options.quiet:
         print(_digest(summary, options.output))
     return DONE
 
 
+class _Keeper:
+    """Saves checkpoints of a run, which goes on if they cannot be written."""
+
+    def __init__(self, file: SceneFile, output: Output) -> None:
+        self._file, self._output = file, output
+        self._due = time.monotonic() + min(SECONDS_TO_FIRST_SAVE, SECONDS_BETWEEN_SAVES)
+        self._warned = False
+
+    def save_now_and_then(self, recording: Recording) -> None:
+        """Saves a checkpoint if the last one was long ago."""
+        if time.monotonic() > self._due:
+            self.save(recording)
+            self._due = time.monotonic() + SECONDS_BETWEEN_SAVES
+
+    def save(self, recording: Recording) -> Path | None:
+        """Saves a checkpoint; returns its path, or None, with a warning, if that failed."""
+        try:
+            with self._output.replacing(CHECKPOINT) as temporary:
+                save_checkpoint(recording, self._file, temporary)
+            return self._output.path / CHECKPOINT
+        except (InputError, OSError) as error:
+            if not self._warned:
+                print(f"derjax: warning: {error}; the run goes on", file=sys.stderr, flush=True)
+            self._warned = True
+            return None
+
+    def rescue(self, recording: Recording) -> Path | None:
+        """Saves a checkpoint among the machine's temporary files; None if that failed."""
+        try:
+            path = Path(tempfile.mkdtemp(prefix="derjax-")) / CHECKPOINT
+            save_checkpoint(recording, self._file, path)
+            return path
+        except OSError:
+            return None
+
+
 def _sources(path: Path, file: SceneFile) -> dict[str, str]:
     """The text of the input files, for the record."""
-    sources = {"scene": path.read_text(encoding="utf-8")}
+    sources = {"scene": read_text(path)}
     if file.motor.table is not None:
-        sources["motor_table"] = (path.parent / file.motor.table).read_text(encoding="utf-8")
+        sources["motor_table"] = read_text(path.parent / file.motor.table)
     return sources
 
 
 def _check_output(options: Options) -> None:
     """`InputError` if there are results and the options do not say what to do with them."""
     directory = options.output
-    if directory.exists() and not directory.is_dir():
-        raise InputError(f"{directory}: is not a directory (--output)")
     unfinished = directory / CHECKPOINT
     if options.resume:
         ended = directory / TRAJECTORY
@@ -161,16 +210,31 @@ def _check_output(options: Options) -> None:
                 raise InputError(f"{path}: exists already: {hint}")
 
 
-def _outcome(recording: Recording, resume: str | None) -> dict[str, str]:
-    """How the run ended: a word and a sentence. `resume`: the command, if interrupted."""
-    if resume is not None:
-        return {"status": "interrupted", "message": f"interrupted; resume with: {resume}"}
+def _advice(options: Options, kept: Path | None) -> str:
+    """How to go on with a run whose checkpoint is at `kept`, if it could be written."""
+    if kept is None:
+        return "There is no room for a checkpoint: what was computed last is lost"
+    resume = f"resume with: {options.command('--resume')}"
+    if kept.parent == options.output:
+        return f"What was computed is in {kept}; {resume}"
+    return f"What was computed is in {kept}; move it to {options.output / CHECKPOINT} and {resume}"
+
+
+def _outcome(recording: Recording, advice: str | None) -> dict[str, str]:
+    """How the run ended: a word and a sentence. `advice`: how to go on, if interrupted."""
+    if advice is not None:
+        return {"status": "interrupted", "message": f"interrupted. {advice}"}
     status = Status(int(recording.report.status)).name.lower()
     return {"status": status, "message": recording.report.message()}
 
 
 def _write_results(
-    options: Options, file: SceneFile, scene: Scene, recording: Recording, texts: dict[str, str]
+    options: Options,
+    file: SceneFile,
+    scene: Scene,
+    recording: Recording,
+    texts: dict[str, str],
+    output: Output,
 ) -> dict[str, Any]:
     """Writes trajectory, summary and figures; returns the summary."""
     attributes = {
@@ -198,15 +262,18 @@ def _write_results(
         "scene": str(options.scene),
         "parameters": file.parameters,
     }
-    trajectory.write(dataset, options.output / TRAJECTORY)
-    summaries.write(summary, options.output / SUMMARY)
+    output.check([TRAJECTORY, SUMMARY, *(FIGURES if options.figures else ())])
+    with output.replacing(TRAJECTORY) as temporary:
+        trajectory.write(dataset, temporary)
+    with output.replacing(SUMMARY) as temporary:
+        summaries.write(summary, temporary)
     if options.figures:
         from . import plots  # slow to import
 
         for name, drawn in FIGURES.items():
             figure = getattr(plots, drawn)(dataset)
             if figure is not None:
-                with atomic_path(options.output / name) as temporary:
+                with output.replacing(name) as temporary:
                     figure.savefig(temporary)
     return summary
 

@@ -4,8 +4,8 @@ import argparse
 from importlib import resources
 from pathlib import Path
 
-from ..files import atomic_path
-from ..scenefile import InputError
+from ..errors import InputError
+from ..output import output_directory
 
 HELP = "write a commented example scene, motor table and dataset"
 
@@ -35,17 +35,17 @@ def run(args: argparse.Namespace) -> int:
     """Runs `derjax new`.
 
     Raises:
-        InputError: one of the files is there already; nothing has been written.
+        InputError: one of the files is there already, or files cannot be written there; nothing
+            has been written.
+        OSError: the disk is full; the message names the file.
     """
     directory: Path = args.directory
-    if directory.exists() and not directory.is_dir():
-        raise InputError(f"{directory}: is not a directory")
     if existing := [str(directory / name) for name in FILES if (directory / name).exists()]:
         raise InputError(f"{', '.join(existing)}: exists already; nothing is overwritten")
-    directory.mkdir(parents=True, exist_ok=True)
-    for name in FILES:
-        with atomic_path(directory / name) as temporary:
-            temporary.write_text(template(name), encoding="utf-8")
+    with output_directory(directory, exclusive=False) as output:
+        for name in FILES:
+            with output.replacing(name) as temporary:
+                temporary.write_text(template(name), encoding="utf-8")
     print(f"wrote {', '.join(str(directory / name) for name in FILES)}")
     print(f"next: derjax simulate {directory / 'scene.toml'} -o {directory / 'out'}")
     return 0

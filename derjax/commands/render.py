@@ -2,10 +2,10 @@
 
 import argparse
 import math
-import os
 from pathlib import Path
 
-from ..scenefile import InputError
+from ..errors import InputError
+from ..output import output_directory
 
 HELP = "make a film of a run: GIF, MP4, and a page to turn, zoom and play"
 
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     _check_numbers(args, animation.MOST_FPS)
     if not source.is_dir():
         raise InputError(f"{source}: no such directory")
-    _check_output(output, paths, args.overwrite)
+    _check_output(paths, args.overwrite)
     trajectory = animation.read(source / TRAJECTORY)
     try:
         film = animation.film(
@@ -83,20 +83,23 @@ def run(args: argparse.Namespace) -> int:
     if "mp4" in paths:
         animation.ffmpeg()  # or say now that there is none
 
-    output.mkdir(parents=True, exist_ok=True)
-    for name, path in paths.items():
-        if name == "html":
-            from ..viewer import write_html  # slow to import
+    with output_directory(output, exclusive=False) as directory:
+        for name, path in paths.items():
+            with (
+                directory.replacing(path.name) as temporary,
+                Progress(film.n_frames, "frames", quiet=args.quiet or name == "html") as progress,
+            ):
+                if name == "html":
+                    from ..viewer import write_html  # slow to import
 
-            write_html(film, path)
-        else:
-            write = animation.write_gif if name == "gif" else animation.write_mp4
-            with Progress(film.n_frames, "frames", quiet=args.quiet) as progress:
-                write(film, path, progress.update)
-        if not args.quiet:
-            length = film.n_frames * film.frame_length
-            size = path.stat().st_size / 1e6
-            print(f"{path}: {film.n_frames} frames, {length:.3g} s, {size:.1f} MB", flush=True)
+                    write_html(film, temporary)
+                else:
+                    write = animation.write_gif if name == "gif" else animation.write_mp4
+                    write(film, temporary, progress.update)
+            if not args.quiet:
+                length = film.n_frames * film.frame_length
+                size = path.stat().st_size / 1e6
+                print(f"{path}: {film.n_frames} frames, {length:.3g} s, {size:.1f} MB", flush=True)
     return 0
 
 
@@ -113,12 +116,8 @@ def _check_numbers(args: argparse.Namespace, most_fps: float) -> None:
         raise InputError(f"--from {args.begin:g}: must be before --to {args.end:g}")
 
 
-def _check_output(directory: Path, paths: dict[str, Path], overwrite: bool) -> None:
-    """`InputError` if the films cannot be written, or must not be."""
-    if directory.exists() and not directory.is_dir():
-        raise InputError(f"{directory}: is not a directory (--output)")
-    if directory.exists() and not os.access(directory, os.W_OK):
-        raise InputError(f"{directory}: cannot be written to")
+def _check_output(paths: dict[str, Path], overwrite: bool) -> None:
+    """`InputError` if there are films that must not be replaced."""
     for path in paths.values():
         if path.exists() and not overwrite:
             raise InputError(f"{path}: exists already: choose another --output, or --overwrite")
