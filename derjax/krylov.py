@@ -9,7 +9,13 @@ from jaxtyping import Array, Float
 Vector = Float[Array, " n"]
 
 
-def gmres(product: Callable[[Vector], Vector], b: Vector, tolerance: float, most: int) -> Vector:
+def gmres(
+    product: Callable[[Vector], Vector],
+    b: Vector,
+    tolerance: float,
+    most: int,
+    worst: float = float("inf"),
+) -> Vector:
     """The x with |A x - b| below `tolerance` |b|, by the method of generalised minimal residuals.
 
     Saad & Schultz, SIAM J. Sci. Stat. Comput. 7, 856, 1986; without restarts, and with every
@@ -21,6 +27,7 @@ def gmres(product: Callable[[Vector], Vector], b: Vector, tolerance: float, most
         b: right-hand side.
         tolerance: dimensionless.
         most: products, and vectors that are kept.
+        worst: of |A x - b| over |b|; where that is not reached either, x is NaN.
     """
     size = jnp.sqrt(b @ b)
     goal = tolerance * size
@@ -70,4 +77,5 @@ def gmres(product: Callable[[Vector], Vector], b: Vector, tolerance: float, most
     count, basis, triangle, left, _, _ = lax.while_loop(wanted, extend, start)
     known = jnp.where(jnp.arange(most) < count, left[:-1], 0.0)
     weights = lax.linalg.triangular_solve(triangle, known[:, None], left_side=True)[:, 0]
-    return weights @ basis[:-1]
+    x = weights @ basis[:-1]
+    return jnp.where(jnp.abs(left[count]) > worst * size, jnp.nan, x)

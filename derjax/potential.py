@@ -1,4 +1,4 @@
-"""The incremental potential of a step, as a sum of contributions of five simple forms.
+"""The incremental potential of a step, as a sum of contributions of a few simple forms.
 
 Asked for its share at the start of a step, every physical ingredient answers with
 
@@ -9,12 +9,13 @@ Asked for its share at the start of a step, every physical ingredient answers wi
 - `Diagonal`: the same with a diagonal matrix (inertia);
 - `Load`: a constant force (gravity, drag evaluated at the old state).
 
-The step knows nothing of physics: it finds where the gradient of the sum vanishes.
+All are a `Contribution`, whose methods are all that solvers know of them; so may be a form of
+your own. The step knows nothing of physics: it finds where the gradient of the sum vanishes.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -108,33 +109,8 @@ def _add_blocks(matrix: Matrix, dofs: Int[Any, "b k"], blocks: Float[Array, "b k
     return matrix.at[dofs[:, :, None], dofs[:, None, :]].add(blocks)
 
 
-@pytree
-class Elements:
-    """`sum_b potential(q[dofs[b]], data[b])`.
-
-    Attributes:
-        dofs: (b, k) degrees of freedom that each element sees.
-        potential: `(local (k,), data) -> scalar` in J, with its derivatives.
-        data: pytree of arrays with leading axis b.
-    """
-
-    dofs: Indices = static()
-    potential: ElementPotential = static()
-    data: Any
-
-    def value(self, q: Dofs) -> Array:
-        return jnp.sum(jax.vmap(self.potential)(q[self.dofs.array], self.data))
-
-    def gradient(self, q: Dofs) -> Dofs:
-        local = jax.vmap(self.potential.gradient)(q[self.dofs.array], self.data)
-        return jnp.zeros_like(q).at[self.dofs.array].add(local)
-
-    def local_hessians(self, q: Dofs) -> tuple[np.ndarray, Float[Array, "b k k"]]:
-        """Degrees of freedom of every element, and its Hessian."""
-        return self.dofs.array, jax.vmap(self.potential.hessian)(q[self.dofs.array], self.data)
-
-    def add_hessian(self, matrix: Matrix, q: Dofs) -> Matrix:
-        return _add_blocks(matrix, *self.local_hessians(q))
+LocalHessians = tuple[tuple[Any, Float[Array, "b k k"]], ...]
+"""Small matrices, each with the degrees of freedom (b, k) that it stands for."""
 
 
 class Guard(Protocol):
@@ -149,8 +125,106 @@ class Guard(Protocol):
         ...
 
 
+class Contribution:
+    """A share of the incremental potential: what a solver may ask of it.
+
+    A new form is a pytree that derives from this class and has `value`, `gradient` and
+    `local_hessians`, or `diagonal`, or both: they add up to its second derivative. All solvers
+    take it then.
+
+    Attributes:
+        symmetric: whether the force is the derivative of a potential, `value`.
+        guard: what a solver must not violate on its way; None if there is nothing.
+        scattered: whether the second derivative is made of many small matrices.
+    """
+
+    symmetric: bool = True
+    guard: Guard | None = None
+    scattered: ClassVar[bool] = False
+
+    def value(self, q: Dofs) -> Array:
+        """J."""
+        raise NotImplementedError(f"{type(self).__name__} has no value")
+
+    def gradient(self, q: Dofs) -> Dofs:
+        """The derivative of `value` (N and N m): minus the force."""
+        raise NotImplementedError(f"{type(self).__name__} has no gradient")
+
+    def value_and_gradient(self, q: Dofs) -> tuple[Array, Dofs]:
+        """Both at once."""
+        return self.value(q), self.gradient(q)
+
+    def local_hessians(self, q: Dofs) -> LocalHessians:
+        """The second derivative (N/m and so on), but for `diagonal`, as small matrices."""
+        raise NotImplementedError(f"{type(self).__name__} has no second derivative")
+
+    def diagonal(self, q: Dofs) -> Dofs:
+        """What else there is on the diagonal of the second derivative."""
+        return jnp.zeros_like(q)
+
+    def add_hessian(self, matrix: Matrix, q: Dofs) -> Matrix:
+        """A dense matrix with the second derivative added."""
+        for dofs, blocks in self.local_hessians(q):
+            matrix = _add_blocks(matrix, dofs, blocks)
+        return matrix + jnp.diag(self.diagonal(q))
+
+    @property
+    def kind(self) -> Hashable:
+        """What contributions share that can be `joined` into one; None if none can."""
+        return None
+
+    @classmethod
+    def joined(cls, parts: Sequence[Any]) -> "Contribution":
+        """The sum of contributions of one `kind` as one of them."""
+        raise NotImplementedError(f"{cls.__name__} cannot be joined")
+
+
 @pytree
-class Pairs:
+class Elements(Contribution):
+    """`sum_b potential(q[dofs[b]], data[b])`.
+
+    Attributes:
+        dofs: (b, k) degrees of freedom that each element sees.
+        potential: `(local (k,), data) -> scalar` in J, with its derivatives.
+        data: pytree of arrays with leading axis b.
+    """
+
+    dofs: Indices = static()
+    potential: ElementPotential = static()
+    data: Any
+
+    scattered: ClassVar[bool] = True
+
+    def value(self, q: Dofs) -> Array:
+        return jnp.sum(jax.vmap(self.potential)(q[self.dofs.array], self.data))
+
+    def gradient(self, q: Dofs) -> Dofs:
+        local = jax.vmap(self.potential.gradient)(q[self.dofs.array], self.data)
+        return jnp.zeros_like(q).at[self.dofs.array].add(local)
+
+    def local_hessians(self, q: Dofs) -> LocalHessians:
+        """Of every element."""
+        blocks = jax.vmap(self.potential.hessian)(q[self.dofs.array], self.data)
+        return ((self.dofs.array, blocks),)
+
+    def add_hessian(self, matrix: Matrix, q: Dofs) -> Matrix:
+        ((dofs, blocks),) = self.local_hessians(q)
+        return _add_blocks(matrix, dofs, blocks)
+
+    @property
+    def kind(self) -> Hashable:
+        """Elements on one stencil are differentiated together."""
+        return self.dofs, type(self.potential)
+
+    @classmethod
+    def joined(cls, parts: Sequence["Elements"]) -> "Elements":
+        first = parts[0]
+        together = type(first.potential).together([(e.potential, e.data) for e in parts])
+        return cls(first.dofs, *together)
+
+
+@pytree
+class Pairs(Contribution):
     """`sum_b potential(q[dofs[b]], data[b])` over those b that are `taken`.
 
     Like `Elements`, but what interacts is a result of the computation: a list of fixed length,
@@ -169,6 +243,8 @@ class Pairs:
     potential: LocalPotential = static()
     data: Any
     guard: Guard | None = None
+
+    scattered: ClassVar[bool] = True
 
     def _each(self, q: Dofs, function: Callable[[Array, Any], T]) -> T:
         """(b, ...) the elements' `function`, zero in places that are not taken."""
@@ -201,11 +277,12 @@ class Pairs:
 
         return self._if_any(both, (jnp.zeros(()), zero))
 
-    def local_hessians(self, q: Dofs) -> tuple[Array, Float[Array, "b k k"]]:
-        """Degrees of freedom of every place of the list, and its Hessian."""
+    def local_hessians(self, q: Dofs) -> LocalHessians:
+        """Of every place of the list."""
         size = self.dofs.shape[1]
         nothing = jnp.zeros((len(self.dofs), size, size))
-        return self.dofs, self._if_any(lambda: self._each(q, self.potential.hessian), nothing)
+        blocks = self._if_any(lambda: self._each(q, self.potential.hessian), nothing)
+        return ((self.dofs, blocks),)
 
     def add_hessian(self, matrix: Matrix, q: Dofs) -> Matrix:
         return self._if_any(
@@ -226,7 +303,7 @@ class Operator(Protocol):
 
 
 @pytree
-class Quadratic:
+class Quadratic(Contribution):
     """`1/2 u^T operator u` of the displacement u = q - origin of some degrees of freedom.
 
     With `symmetric=False` there is no potential, only the force `operator u`, and the line
@@ -251,6 +328,10 @@ class Quadratic:
         local = (q - self.origin)[self.dofs.array]
         return jnp.zeros_like(q).at[self.dofs.array].add(self.operator.apply(local))
 
+    def local_hessians(self, q: Dofs) -> LocalHessians:
+        """One element that sees all the degrees of freedom."""
+        return ((self.dofs.array[None], self.operator.matrix()[None]),)
+
     def add_hessian(self, matrix: Matrix, q: Dofs) -> Matrix:
         dofs, block = self.dofs.array, self.operator.matrix()
         first, size = int(dofs[0]), len(dofs)
@@ -261,7 +342,7 @@ class Quadratic:
 
 
 @pytree
-class Diagonal:
+class Diagonal(Contribution):
     """`1/2 sum_i weight_i (q_i - origin_i)^2`.
 
     Attributes:
@@ -278,12 +359,15 @@ class Diagonal:
     def gradient(self, q: Dofs) -> Dofs:
         return self.weight * (q - self.origin)
 
-    def add_hessian(self, matrix: Matrix, q: Dofs) -> Matrix:
-        return matrix + jnp.diag(self.weight)
+    def local_hessians(self, q: Dofs) -> LocalHessians:
+        return ()
+
+    def diagonal(self, q: Dofs) -> Dofs:
+        return self.weight
 
 
 @pytree
-class Load:
+class Load(Contribution):
     """`-force . q`: a force that does not change during the step.
 
     Attributes:
@@ -297,6 +381,9 @@ class Load:
 
     def gradient(self, q: Dofs) -> Dofs:
         return -self.force
+
+    def local_hessians(self, q: Dofs) -> LocalHessians:
+        return ()
 
     def add_hessian(self, matrix: Matrix, q: Dofs) -> Matrix:
         return matrix
@@ -328,8 +415,9 @@ class ForceLaw(Protocol):
 class Mobility:
     """Drag known by what forces do: the displacement u = q - origin is `time law(force)`.
 
-    For `Quadratic` the law would have to be inverted, which large robots cannot afford. The
-    forces are unknowns of their own; see `saddle`.
+    It is no `Contribution`, but stands beside the potential that those make. For `Quadratic` the
+    law would have to be inverted, which large robots cannot afford. The forces are unknowns of
+    their own; see `saddle`.
 
     Attributes:
         dofs: (m,) the degrees of freedom that are dragged.
@@ -342,10 +430,6 @@ class Mobility:
     law: ForceLaw
     origin: Dofs
     time: Float[Array, ""]
-
-
-Contribution = Elements | Pairs | Quadratic | Diagonal | Load
-"""What a potential is made of. A `Mobility` stands beside it."""
 
 
 @pytree
@@ -361,13 +445,12 @@ class Potential:
     @property
     def symmetric(self) -> bool:
         """Whether every contribution derives from a potential."""
-        return all(c.symmetric for c in self.contributions if isinstance(c, Quadratic))
+        return all(c.symmetric for c in self.contributions)
 
     @property
     def guards(self) -> tuple[Guard, ...]:
         """The guards of all contributions."""
-        pairs = [c for c in self.contributions if isinstance(c, Pairs)]
-        return tuple(c.guard for c in pairs if c.guard is not None)
+        return tuple(c.guard for c in self.contributions if c.guard is not None)
 
     def reach(self, q: Dofs, direction: Dofs) -> Array:
         """The part, at most 1, of the way along `direction` that all guards allow."""
@@ -388,20 +471,26 @@ class Potential:
 
     def value_and_gradient(self, q: Dofs) -> tuple[Array, Dofs]:
         """Both at once, which saves finding again where pairs meet."""
-        parts = [
-            c.value_and_gradient(q) if isinstance(c, Pairs) else (c.value(q), c.gradient(q))
-            for c in self.contributions
-        ]
+        parts = [c.value_and_gradient(q) for c in self.contributions]
         return jnp.asarray(sum(v for v, _ in parts)), jnp.asarray(sum(g for _, g in parts))
 
     def slope(self, gradient: Dofs, direction: Dofs) -> Array:
         """By how much the value changes along a direction."""
         return gradient @ direction
 
+    def local_hessians(self, q: Dofs) -> LocalHessians:
+        """The second derivative, but for `diagonal`, as small matrices."""
+        return tuple(part for c in self.contributions for part in c.local_hessians(q))
+
+    def diagonal(self, q: Dofs) -> Dofs:
+        """What else there is on the diagonal of the second derivative."""
+        return jnp.asarray(sum(c.diagonal(q) for c in self.contributions))
+
     def hessian(self, q: Dofs) -> Matrix:
+        """The second derivative as one dense matrix."""
         matrix = jnp.zeros((q.size, q.size), q.dtype)
         # Whole matrices first: what adds blocks after them can do it in place.
-        for c in sorted(self.contributions, key=lambda c: isinstance(c, Elements | Pairs)):
+        for c in sorted(self.contributions, key=lambda c: c.scattered):
             matrix = c.add_hessian(matrix, q)
         return matrix
 
@@ -418,18 +507,23 @@ class Potential:
 
 
 def gather(contributions: Sequence[Contribution]) -> Potential:
-    """The potential of a step; elements on the same stencil are differentiated together."""
+    """The potential of a step; contributions of one kind are joined.
+
+    Raises:
+        TypeError: something that is no contribution.
+    """
     merged: list[Contribution] = []
-    groups: dict[Any, list[Elements]] = {}
+    groups: dict[Hashable, list[Contribution]] = {}
     for contribution in contributions:
-        if isinstance(contribution, Elements):
-            key = contribution.dofs, type(contribution.potential)
-            groups.setdefault(key, []).append(contribution)
-        else:
+        if not isinstance(contribution, Contribution):
+            raise TypeError(
+                f"a {type(contribution).__name__} is no share of a potential: that is a Load, "
+                "Elements, Pairs, a Quadratic, a Diagonal, or what derives from Contribution"
+            )
+        if contribution.kind is None:
             merged.append(contribution)
-    for (dofs, kind), group in groups.items():
-        if len(group) > 1:
-            potential, data = kind.together([(e.potential, e.data) for e in group])
-            group = [Elements(dofs, potential, data)]
-        merged += group
+        else:
+            groups.setdefault(contribution.kind, []).append(contribution)
+    for group in groups.values():
+        merged += [type(group[0]).joined(group)] if len(group) > 1 else group
     return Potential(tuple(merged))

@@ -31,12 +31,15 @@ from jaxtyping import Array, Float
 
 from .blocks import BlockFactor, Layout, assemble, factor_blocks, multiply
 from .krylov import gmres
-from .potential import Diagonal, Dofs, Elements, ForceLaw, Mobility, Pairs, Potential
+from .potential import Dofs, ForceLaw, LocalHessians, Mobility, Potential
 from .pytree import Indices, pytree, static
 
 ROUGH, EXACT = 1e-2, 1e-13
 """By how much GMRES lowers the residual: in Newton's method, where the coarse far field leaves as
 much anyway, and for derivatives."""
+
+WORST = 1e-6
+"""The residual with which a derivative is still one: it is better known to be none than wrong."""
 
 PRODUCTS = 80
 """Of GMRES, at the most: many where filaments touch, which the preconditioner knows nothing of."""
@@ -55,7 +58,7 @@ class Saddle:
     The second equation is multiplied with a typical resistance over l, which makes forces of it.
 
     Attributes:
-        potential: E, with all that is not the fluid's non-local drag.
+        potential: E, with all that is not the fluid's non-local drag; symmetric.
         drag: the fluid's.
         layout: the blocks.
         held: (d,) where the degrees of freedom that are not free are, m and rad.
@@ -155,14 +158,18 @@ class Saddle:
     def factored(
         self, z: Unknowns, sizes: Unknowns, free: None, exact: bool
     ) -> tuple["SaddleFactor", Unknowns]:
-        """What solves with the Newton matrix at z, and what rounding makes of its forces."""
+        """What solves with the Newton matrix at z, and what rounding makes of its forces.
+
+        Raises:
+            ValueError: a contribution has no potential, so that the matrix is not symmetric.
+        """
+        if not self.symmetric:
+            raise ValueError(
+                "blocks are only for forces that derive from a potential: a contribution with "
+                "symmetric=False needs one dense matrix ([solver] method = 'dense')"
+            )
         q, _ = self.split(z)
-        matrices, diagonal = [], jnp.zeros_like(q)
-        for c in self.potential.contributions:
-            if isinstance(c, Elements | Pairs):
-                matrices.append(c.local_hessians(q))
-            elif isinstance(c, Diagonal):
-                diagonal = diagonal + c.weight
+        matrices, diagonal = self.potential.local_hessians(q), self.potential.diagonal(q)
         law = self.drag.law
         drag = law.resistance.reshape(*self.layout.nodes.shape[:2], *law.resistance.shape[1:])
         rough = assemble(self.layout, matrices, diagonal, drag / self.drag.time, self.free)
@@ -171,11 +178,11 @@ class Saddle:
         rounding = multiply(absolute, size) + diagonal * size
         solver = SaddleFactor(
             self,
-            tuple(matrices),
+            matrices,
             diagonal,
             law if exact else law.coarse,
             factor_blocks(rough),
-            EXACT if exact else ROUGH,
+            exact,
         )
         # In the second equation every place is felt everywhere.
         wet = size[self.drag.dofs.array]
@@ -214,19 +221,19 @@ class SaddleFactor:
 
     Attributes:
         saddle: the equations.
-        matrices: second derivatives of the elements of E.
+        matrices: the second derivative of E, as small matrices.
         diagonal: (d,) and what is diagonal of them.
         law: of force to velocity in the products.
         near: the factor of the preconditioner.
-        tolerance: by how much GMRES lowers the residual.
+        exact: whether GMRES goes on until the solution is one, or NaN.
     """
 
     saddle: Saddle
-    matrices: tuple[tuple[Any, Array], ...]
+    matrices: LocalHessians
     diagonal: Dofs
     law: ForceLaw
     near: BlockFactor
-    tolerance: float = static()
+    exact: bool = static()
 
     def _product(self, q: Dofs, f: Array) -> tuple[Dofs, Array]:
         """What changes of q and f do to the two equations: forces, and a displacement (m)."""
@@ -259,7 +266,9 @@ class SaddleFactor:
             force, slip = self._product(*roughly(given))
             return s.join(force / unit, slip / length)
 
-        return roughly(gmres(product, s.join(b / unit, slip / length), self.tolerance, PRODUCTS))
+        goal, worst = (EXACT, WORST) if self.exact else (ROUGH, np.inf)
+        wanted = s.join(b / unit, slip / length)
+        return roughly(gmres(product, wanted, goal, PRODUCTS, worst))
 
     def solve(self, b: Unknowns) -> Unknowns:
         """Solution z of J z = b."""

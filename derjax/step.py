@@ -73,24 +73,30 @@ class Scene:
     layout: Layout | None = None
 
 
-def expected_velocity(state: State, ahead: Array) -> Dofs:
+def expected_velocity(scene: Scene, state: State, ahead: Array) -> Dofs:
     """The velocity (m/s, rad/s) some time (s) ahead, if motion goes on as it did.
 
-    Only where it is smooth: after a jump, as at the start, velocity is taken as constant.
+    Only where it is smooth: after a jump, as at the start, velocity is taken as constant. What is
+    smooth shows in the power of the solver's units of force and torque, in which positions and
+    angles count alike for robots of all sizes.
     """
+
+    def size(velocity: Dofs) -> Array:
+        return jnp.sum((scene.newton.force_scale * velocity) ** 2)
+
     # Before the first step there is no mean, but there may be a velocity.
     velocity = jnp.where(state.length > 0.0, state.mean_velocity, state.velocity)
     later = 0.5 * state.length + ahead
     first = later * state.mean_acceleration
     second = 0.5 * later * (later + state.length) * state.jerk
-    first = jnp.where(first @ first < velocity @ velocity, first, 0.0)
-    second = jnp.where(second @ second < first @ first, second, 0.0)
+    first = jnp.where(size(first) < size(velocity), first, 0.0)
+    second = jnp.where(size(second) < size(first), second, 0.0)
     return velocity + first + second
 
 
-def expected_move(state: State, ahead: Array) -> Dofs:
+def expected_move(scene: Scene, state: State, ahead: Array) -> Dofs:
     """How far (m, rad) the rod goes in some time (s), if motion goes on as it did."""
-    return ahead * expected_velocity(state, 0.5 * ahead)
+    return ahead * expected_velocity(scene, state, 0.5 * ahead)
 
 
 def prepare(scene: Scene, state: State, ahead: Array, length: Array) -> tuple[Term, ...]:
@@ -98,8 +104,8 @@ def prepare(scene: Scene, state: State, ahead: Array, length: Array) -> tuple[Te
 
     Drag is that of the configuration some time (s) ahead.
     """
-    configuration = state.q + expected_move(state, ahead)
-    outlook = Outlook(configuration, expected_move(state, length))
+    configuration = state.q + expected_move(scene, state, ahead)
+    outlook = Outlook(configuration, expected_move(scene, state, length))
     return tuple(term.prepared(scene.rod, state, outlook) for term in scene.terms)
 
 
@@ -129,10 +135,14 @@ def solve(
         interval: what to solve.
         turn: rad, by which the motors have turned at its end.
         move: (d,) m and rad, expected from the start of the step to the end of the interval.
+
+    Raises:
+        TypeError: a term answers with something that is no contribution.
+        ValueError: a term answers with one that the scene's solver does not take.
     """
     topology = scene.rod.topology
     contributions = [t.contribution(scene.rod, state, interval) for t in terms]
-    drag = next((c for c in contributions if isinstance(c, Mobility)), None)
+    mobilities = [c for c in contributions if isinstance(c, Mobility)]
     potential = gather([c for c in contributions if not isinstance(c, Mobility)])
     if potential.guards:
         move = potential.reach(state.q, move) * move
@@ -144,8 +154,10 @@ def solve(
     if topology.clamped:
         free = tuple(np.setdiff1d(np.arange(topology.n_dofs), topology.clamped).tolist())
     if scene.layout is None:
+        _check_no_mobility(mobilities)
         q, info = equilibrium(potential, guess, scene.newton, free)
     else:
+        drag = _only_mobility(scene.layout, mobilities)
         q, info = _in_blocks(scene, scene.layout, potential, drag, guess)
     if potential.guards:
         fault, before = (potential.fault(lax.stop_gradient(x)) for x in (q, state.q))
@@ -156,15 +168,45 @@ def solve(
     return q, info
 
 
+def _check_no_mobility(mobilities: list[Mobility]) -> None:
+    """Refuses what a dense matrix cannot be made of."""
+    if mobilities:
+        raise ValueError(
+            "a scene without layout is solved for with one dense matrix, which cannot take the "
+            "drag of BlockStokeslets; build the scene with [solver] method = 'dense', or have "
+            "StokesletSegments in their place"
+        )
+
+
+def _only_mobility(layout: Layout, mobilities: list[Mobility]) -> Mobility:
+    """The non-local drag of a robot in blocks: there can be one."""
+    if len(mobilities) > 1:
+        raise ValueError(
+            f"{len(mobilities)} terms have a Mobility, as BlockStokeslets do: a robot in blocks "
+            "can have one, in which all that drags it is added up"
+        )
+    if not mobilities:
+        return no_drag(layout)
+    (drag,) = mobilities
+    blocks, size = layout.nodes[..., 0].size, 3 * layout.size
+    if drag.law.resistance.shape != (blocks, size, size):
+        raise ValueError(
+            "the blocks of the drag are not those of scene.layout: they must be one Layout"
+        )
+    return drag
+
+
 def _in_blocks(
-    scene: Scene, layout: Layout, potential: Potential, drag: Mobility | None, guess: Dofs
+    scene: Scene, layout: Layout, potential: Potential, drag: Mobility, guess: Dofs
 ) -> tuple[Dofs, NewtonInfo]:
     """The end of an interval of a large robot."""
     topology = scene.rod.topology
+    if layout.topology != topology:
+        raise ValueError("scene.layout is that of another robot: it must have scene.rod.topology")
     free = np.ones(topology.n_dofs)
     free[list(topology.clamped)] = 0.0
     scale = lax.stop_gradient(scene.newton.force_scale)
-    saddle = Saddle(potential, drag or no_drag(layout), layout, guess, jnp.asarray(free), scale)
+    saddle = Saddle(potential, drag, layout, guess, jnp.asarray(free), scale)
     dry = jnp.broadcast_to(jnp.asarray(scene.newton.size), guess.shape)
     size = saddle.join(dry, jnp.zeros(saddle.drag.dofs.array.size))
     settings = replace(scene.newton, force_scale=saddle.scales, size=size)

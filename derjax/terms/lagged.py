@@ -23,6 +23,20 @@ class Lagged(Term):
         return Lagged(self.drag.prepared(rod, state, still))
 
     def contribution(self, rod: Rod, state: State, interval: Interval) -> Load:
+        """The force of the old velocity.
+
+        Raises:
+            ValueError: a drag whose forces are not known from velocities, one with a guard, or a
+                stage of a scheme other than Euler's.
+        """
+        if interval.origin is not None:
+            raise ValueError("explicit drag (Lagged) is only for the scheme euler")
         drag = self.drag.contribution(rod, state, interval)
-        assert not isinstance(drag, Mobility)  # which schemes with explicit drag do not have
+        if isinstance(drag, Mobility):
+            raise ValueError(
+                "explicit drag (Lagged) needs forces from velocities, which BlockStokeslets do not "
+                "give; build the scene with [solver] method = 'dense', or another [time] scheme"
+            )
+        if drag.guard is not None:
+            raise ValueError("a contribution with a guard, as contact has, cannot be explicit")
         return Load(-drag.gradient(state.q + interval.length * state.velocity))
