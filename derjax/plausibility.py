@@ -67,6 +67,18 @@ def check_lengths(lengths: Mapping[str, float], given: Collection[str]) -> None:
         )
 
 
+def check_angle(key: str, angle: float) -> None:
+    """Refuses an angle (rad) of more than a turn, which is in degrees.
+
+    Raises:
+        ValueError: the message begins with the key, as is usual within a table.
+    """
+    if abs(angle) > 2 * math.pi * (1 + 1e-9):
+        raise ValueError(
+            f"{key} = {angle:g}: {key} is in rad; did you mean {math.radians(angle):.6g}?"
+        )
+
+
 def check_regularization(regularization: float, rod_radius: float) -> None:
     """Refuses a regularization (m) of a rod that is in millimetres.
 

@@ -5,22 +5,24 @@ is not given has the value of the paper's table (Lim, Yadunandan & Jawed, Soft M
 2254, 2023), except for the regularization (see `Fluid`).
 """
 
-import difflib
-import json
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from .defaults import REGULARIZATION, SLIP, completed
 from .errors import InputError
 from .fields import Count, Finite, NonNegative, Positive, Switch, Table
+from .messages import check, checked
 from .motortable import Motor, MotorTable, read_motor_table
+from .parameters import PLACES
+from .parameters import UNITS as UNITS
 from .plausibility import (
     USUAL_LENGTHS,
+    check_angle,
     check_density,
     check_lengths,
     check_modulus,
@@ -28,32 +30,6 @@ from .plausibility import (
 )
 from .textfile import LEGACY, encoding_of, read_text
 from .timing import TimeGrid, time_grid
-
-T = TypeVar("T", bound=BaseModel)
-
-
-UNITS = {
-    "helix_radius": "m",
-    "pitch": "m",
-    "axial_length": "m",
-    "rod_radius": "m",
-    "head_radius": "m",
-    "youngs_modulus": "Pa",
-    "poisson_ratio": "1",
-    "density": "kg/m^3",
-    "viscosity": "Pa s",
-    "fluid_density": "kg/m^3",
-    "regularization": "m",
-    "C_t": "1",
-    "C_r": "1",
-    "rpm": "rpm",
-    "bend": "rad",
-    "separation": "m",
-    "contact_stiffness": "N/m",
-    "friction": "1",
-}
-"""Units of the parameters of a scene."""
-
 
 Handedness = Literal["left", "right"]
 MOST_FLAGELLA, MOST_ON_A_HEAD = 64, 8
@@ -114,6 +90,13 @@ class Robot(Table):
     @model_validator(mode="after")
     def _metres(self) -> Self:
         check_lengths(self.lengths, self.model_fields_set)
+        return self
+
+    @model_validator(mode="after")
+    def _radians(self) -> Self:
+        for name, angles in (("phase", self.phases), ("bend", (self.bend,))):
+            for angle in angles:
+                check_angle(name, angle)
         return self
 
     @model_validator(mode="after")
@@ -487,6 +470,45 @@ class SceneFile(Table):
         """
         return completed({**self._numbers, **others})
 
+    def with_parameters(self, numbers: Mapping[str, Any]) -> "SceneFile":
+        """The file in which some of the parameters stand with these numbers, checked.
+
+        Raises:
+            InputError: the numbers cannot be; the message names table and key.
+        """
+        content = self.model_dump(exclude_unset=True)
+        table = self.motor_table
+        for name, number in numbers.items():
+            if name == "rpm" and table is not None:
+                rates = {"time": table.time, "rpm": np.asarray(number).tolist()}
+                table = checked(MotorTable, rates)
+            else:
+                _put(content, name, number)
+        changed = checked(SceneFile, content)
+        if table is None:
+            return changed
+        changed = changed.model_copy(update={"motor_table": table})
+        try:
+            changed.check_motion()
+        except ValueError as error:
+            raise InputError(str(error)) from None
+        return changed
+
+    def content(self, numbers: Mapping[str, Any]) -> dict[str, Any]:
+        """All tables as JSON data, with some of the parameters as `numbers` has them, unchecked.
+
+        What the file leaves open stays so if it follows from the others by default. A table of the
+        motor is left as it is.
+        """
+        content = self.model_dump(mode="json")
+        given = self._numbers
+        following = self.parameters_with({k: v for k, v in numbers.items() if given[k] is not None})
+        for name, number in numbers.items():
+            as_usual = given[name] is None and np.isclose(number, following[name], 1e-12, 0)
+            if not (as_usual or (name == "rpm" and self.motor_table is not None)):
+                _put(content, name, number)
+        return content
+
     @property
     def _numbers(self) -> dict[str, Any]:
         """The parameters that the file gives or has defaults for; None for those that follow."""
@@ -522,6 +544,12 @@ class SceneFile(Table):
         if isinstance(numbers["rpm"], tuple):
             numbers["rpm"] = np.array(numbers["rpm"])
         return numbers
+
+
+def _put(content: dict[str, Any], name: str, number: Any) -> None:
+    """Puts a parameter into the tables of a file."""
+    table, key = PLACES[name].split(".")
+    content.setdefault(table, {})[key] = np.asarray(number).tolist()
 
 
 def load_scene(path: str | Path) -> SceneFile:
@@ -568,113 +596,3 @@ def read_toml(path: Path) -> dict[str, Any]:
         end = f"at end of document, line {text.count(chr(10)) + 1}"
         said = str(error).replace("at end of document", end)
         raise InputError(f"{path}: not valid TOML: {said}") from None
-
-
-def check(model: type[T], content: dict[str, Any], path: Path) -> T:
-    """`content` as a `model`; `InputError` naming `path` and the keys at fault."""
-    problems: list[str] = []
-    for key in content.keys() & (model.model_fields.keys() - set(_known_keys(model))):
-        problems.append(_unknown(model, [], key, content[key]))
-    try:
-        checked = model.model_validate(content)
-    except ValidationError as error:
-        problems += [_describe(model, p) for p in _of_one_kind(error.errors(), content)]
-    else:
-        if not problems:
-            return checked
-    raise InputError("\n".join(f"{path}: {problem}" for problem in problems))
-
-
-LISTS = ("handedness", "phase", "rpm")
-"""Keys that take one value for all flagella, or a list with one for each."""
-
-
-def _of_one_kind(problems: list[Any], content: dict[str, Any]) -> list[Any]:
-    """What pydantic finds wrong with `LISTS`, as lists if they are and as values if not."""
-    chosen = []
-    for problem in problems:
-        place = problem["loc"]
-        if len(place) > 2 and place[1] in LISTS:
-            is_list = isinstance(content[place[0]][place[1]], list)
-            if str(place[2]).startswith("tuple") != is_list:
-                continue
-            problem = {**problem, "loc": place[:2] + place[3:]}
-        chosen.append(problem)
-    return chosen
-
-
-def _describe(model: type[BaseModel], problem: Any) -> str:
-    """One problem that pydantic found, as a sentence with the key in TOML's notation."""
-    kind, given, place = problem["type"], problem["input"], list(problem["loc"])
-    if kind == "extra_forbidden":
-        return _unknown(model, place[:-1], str(place[-1]), given)
-    if kind == "missing":
-        return f"{_where(place)}: is missing"
-    if kind in ("model_type", "model_attributes_type"):
-        return f"{_where(place)}: should be a table, not {_toml(given)}"
-    if kind == "value_error":
-        if not isinstance(given, Mapping):
-            return f"{_where(place)} = {_toml(given)}: {problem['ctx']['error']}"
-        table = f"{_where(place, is_table=True)} " if place else ""
-        return f"{table}{problem['ctx']['error']}"
-    message = problem["msg"].removeprefix("Input ")
-    if kind == "float_type" and isinstance(given, str) and _is_number(given):
-        message += "; write it without quotes"
-    if kind == "greater_than" and place[-1] in UNITS and UNITS[place[-1]] == "m":
-        message += "; lengths are in metres"
-    return f"{_where(place)} = {_toml(given)}: {message}"
-
-
-def _where(place: list[Any], is_table: bool = False) -> str:
-    """A place in a file: `[table] key`, `[table] (entry 2) key.subkey`."""
-    if len(place) == 1 and not is_table:
-        return str(place[0])
-    table, *keys = place
-    words = "".join(f" (entry {k + 1}) " if isinstance(k, int) else f".{k}" for k in keys)
-    return f"[{table}] {words.strip('. ').replace(') .', ') ')}".strip()
-
-
-def _toml(value: Any) -> str:
-    """A value as it stands in a TOML file, if it is short."""
-    text = json.dumps(value, default=str) if isinstance(value, str | bool | list) else str(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _unknown(model: type[BaseModel], tables: list[Any], key: str, given: Any) -> str:
-    """What to say about a key that does not exist: where it belongs, or what was meant."""
-    known = _known_keys(model, tables)
-    close = difflib.get_close_matches(key, known, n=1)
-    if isinstance(given, Mapping) and not tables:
-        hint = f" Did you mean [{close[0]}]?" if close else ""
-        return f"[{key}]: unknown table.{hint} Known tables: {', '.join(known)}"
-    where = _where([*tables, key])
-    homes = [name for name in _known_keys(model) if key in _known_keys(model, [name])]
-    if homes:
-        return f"{where}: unknown key. It belongs in the table [{homes[0]}]"
-    hint = f" Did you mean {close[0]!r}?" if close else ""
-    return f"{where}: unknown key.{hint} Known keys: {', '.join(known)}"
-
-
-def _known_keys(model: type[BaseModel], tables: list[Any] | None = None) -> list[str]:
-    """The keys of the table that is reached from `model` through `tables`; none if no table."""
-    for table in tables or []:
-        if not isinstance(table, str):
-            continue
-        pending, found = [model.model_fields[table].annotation], None
-        while pending and found is None:
-            part = pending.pop()
-            if isinstance(part, type) and issubclass(part, BaseModel):
-                found = part
-            pending.extend(getattr(part, "__args__", ()))
-        if found is None:
-            return []
-        model = found
-    return [name for name, field in model.model_fields.items() if not field.exclude]

@@ -3,12 +3,15 @@
 import re
 import tomllib
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import pytest
+from pydantic import Field
 
 from derjax import build
 from derjax.commands.new import template
+from derjax.fields import Finite, Table
 from derjax.scenefile import UNITS, InputError, SceneFile, check, load_scene
 
 TABLES = [name for name, field in SceneFile.model_fields.items() if not field.exclude]
@@ -205,3 +208,57 @@ def test_parts_that_overlap_at_the_start_are_refused():
     robot = {"kind": "two_flagella", "separation": 4e-3, "handedness": ["left", "right"]}
     with pytest.raises(InputError, match=r"\[robot\].*overlap at the start.*separation"):
         build(SceneFile.model_validate({"robot": robot}))
+
+
+@pytest.mark.parametrize("key", ["phase", "bend"])
+@pytest.mark.parametrize("angle", [90, -90.0])
+def test_angles_in_degrees_are_refused(key, angle):
+    robot = {"shape": "arc", key: angle}
+    said = rf"\[robot\] {key} = {angle:g}: {key} is in rad; did you mean {angle / 90 * 1.5708:g}\?"
+    with pytest.raises(InputError, match=said):
+        check(SceneFile, {"robot": robot}, Path("scene.toml"))
+    check(SceneFile, {"robot": {"shape": "arc", key: 2 * np.pi}}, Path("scene.toml"))
+
+
+class Entry(Table):
+    """One of a list of tables."""
+
+    unit: Literal["m", "mm"] = "m"
+    names: Finite | tuple[Finite, ...] = 0.0
+
+
+class Listed(Table):
+    """Tables in a list, as in files of tracks."""
+
+    entries: tuple[Entry, ...] = Field(min_length=1)
+
+
+def problems(content: dict[str, Any]) -> list[str]:
+    with pytest.raises(InputError) as error:
+        check(Listed, content, Path("file.toml"))
+    return str(error.value).splitlines()
+
+
+def test_a_fault_within_a_list_is_told_once():
+    (only,) = problems({"entries": [{"unit": "furlong"}]})
+    assert only.startswith('file.toml: [entries] (entry 1) unit = "furlong"')
+    assert len(problems({"entries": [{"unit": "furlong"}, {"unit": "mile"}]})) == 2
+    (only,) = problems({"entries": []})
+    assert "at least 1" in only
+
+
+def test_a_value_or_list_is_faulted_as_what_it_is_however_deep():
+    (only,) = problems({"entries": [{"names": "x"}]})
+    assert only == 'file.toml: [entries] (entry 1) names = "x": should be a valid number'
+    (only,) = problems({"entries": [{"names": [1.0, "x"]}]})
+    assert only.startswith("file.toml: [entries] (entry 1) names (entry 2)")
+    (only,) = problems({"entries": [{"names": [1.0, "2"]}]})
+    assert only.endswith("write it without quotes")
+
+
+def test_columns_of_a_motor_are_faulted_as_what_they_are():
+    for given, said in ((3, "columns.rpm = 3"), (["a", 4], "columns.rpm (entry 2)")):
+        with pytest.raises(InputError) as error:
+            check(SceneFile, {"motor": {"table": "x", "columns": {"rpm": given}}}, Path("f"))
+        (only,) = str(error.value).splitlines()
+        assert said in only

@@ -21,6 +21,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, Field, create_model
 
+from ..parameters import PLACES
 from ..scenefile import (
     Count,
     Finite,
@@ -33,28 +34,6 @@ from ..scenefile import (
     read_toml,
     with_motor_table,
 )
-
-PLACES = {
-    "helix_radius": "robot.helix_radius",
-    "pitch": "robot.pitch",
-    "axial_length": "robot.axial_length",
-    "rod_radius": "robot.rod_radius",
-    "head_radius": "robot.head_radius",
-    "bend": "robot.bend",
-    "separation": "robot.separation",
-    "youngs_modulus": "material.youngs_modulus",
-    "poisson_ratio": "material.poisson_ratio",
-    "density": "material.density",
-    "viscosity": "fluid.viscosity",
-    "fluid_density": "fluid.fluid_density",
-    "regularization": "fluid.regularization",
-    "C_t": "head.C_t",
-    "C_r": "head.C_r",
-    "rpm": "motor.rpm",
-    "contact_stiffness": "contact.stiffness",
-    "friction": "friction.coefficient",
-}
-"""Where each parameter of a scene stands in its file."""
 
 MOST_POINTS = 1_000_000
 

@@ -14,6 +14,7 @@ import xarray as xr
 from .. import summary as summaries
 from .. import trajectory
 from ..batch import advance, build_many, everyone, pick, repeat, spread
+from ..parameters import PLACES
 from ..pytree import Indices, replace
 from ..rod import State
 from ..rollout import Report, new_report
@@ -21,7 +22,6 @@ from ..scene import build, enlarge, touching_pairs
 from ..scenefile import Contact, Fluid, Head, InputError, Material, Motor, SceneFile, Time
 from ..status import Status
 from ..step import Scene
-from .file import PLACES
 
 T = TypeVar("T")
 
