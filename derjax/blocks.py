@@ -22,6 +22,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+from .linear import sizes
 from .pytree import pytree, static
 from .rod import Topology
 
@@ -252,11 +253,16 @@ def _inverse_factor(matrix: Float[Array, "*b k k"]) -> Float[Array, "*b k k"]:
     return lax.linalg.triangular_solve(lower, identity, left_side=True, lower=True)
 
 
+def _heavier(matrices: Float[Array, "*b k k"], shift: Array) -> Float[Array, "*b k k"]:
+    """Matrices with some multiple of their own diagonals added."""
+    size = sizes(jnp.diagonal(matrices, axis1=-2, axis2=-1))
+    return matrices + shift * size[..., None] * jnp.eye(size.shape[-1])
+
+
 def _factor(matrix: BlockMatrix, shift: Array) -> BlockFactor:
-    """The factor with something added to the diagonal."""
+    """The factor with a multiple of the diagonal added."""
     d, o, u, border = matrix.parts
-    eye = shift * jnp.eye(d.shape[-1])
-    from_tip = jnp.moveaxis(d, 1, 0)[::-1] + eye
+    from_tip = jnp.moveaxis(_heavier(d, shift), 1, 0)[::-1]
     couplings = jnp.pad(jnp.moveaxis(o, 1, 0)[::-1], ((0, 1), (0, 0), (0, 0), (0, 0)))
 
     def towards_base(taken, given):
@@ -268,19 +274,17 @@ def _factor(matrix: BlockMatrix, shift: Array) -> BlockFactor:
     nothing = jnp.zeros_like(from_tip[0])
     _, (inverse, below) = lax.scan(towards_base, nothing, (from_tip, couplings))
     base = inverse[-1] @ u
-    left = border + shift * jnp.eye(len(border)) - jnp.einsum("fij,fik->jk", base, base)
+    left = _heavier(border, shift) - jnp.einsum("fij,fik->jk", base, base)
     return BlockFactor(matrix.layout, inverse, below, base, _inverse_factor(left))
 
 
 def factor_blocks(matrix: BlockMatrix) -> BlockFactor:
-    """Factor a matrix. One that is not positive definite gets more and more on its diagonal."""
-    d, *_ = matrix.parts
-    scale = jnp.mean(jnp.abs(jnp.diagonal(d, axis1=-2, axis2=-1)))
+    """Factor a matrix. One that is not positive definite gets more and more of its diagonal."""
 
     def retry(carry):
         _, shift = carry
         shift = jnp.where(shift == 0.0, 1e-8, 10.0 * shift)
-        return _factor(matrix, shift * scale), shift
+        return _factor(matrix, shift), shift
 
     def indefinite(carry):
         factor, shift = carry

@@ -52,22 +52,29 @@ class LU:
         return lu_solve((self.lu, self.pivots), b, trans=1)
 
 
+def sizes(diagonal: Array) -> Array:
+    """What is added to a diagonal, times more and more, for its matrix to be positive definite."""
+    size = jnp.abs(diagonal)
+    return jnp.where(size > 0.0, size, jnp.mean(size))
+
+
 def factor(matrix: Matrix, symmetric: bool) -> Factor:
     """Factor a Newton matrix.
 
-    Away from a minimum a symmetric matrix may be indefinite; then a growing multiple of its
-    mean diagonal is added until it is positive definite, which makes the Newton step a
-    descent direction. At a stable solution nothing is added.
+    Away from a minimum a symmetric matrix may be indefinite; then a growing multiple of its own
+    diagonal is added until it is positive definite, which makes the Newton step a descent
+    direction. At a stable solution nothing is added. Every degree of freedom having a share of its
+    own, it does not matter in which units positions and angles are.
     """
     if not symmetric:
         return LU(*lu_factor(matrix))
-    scale = jnp.mean(jnp.abs(jnp.diagonal(matrix)))
+    size = sizes(jnp.diagonal(matrix))
 
     def retry(carry):
         lower, shift = carry
         del lower
         shift = jnp.where(shift == 0.0, 1e-8, 10.0 * shift)
-        return lax.linalg.cholesky(matrix + shift * scale * jnp.eye(len(matrix))), shift
+        return lax.linalg.cholesky(matrix + shift * jnp.diag(size)), shift
 
     def indefinite(carry):
         lower, shift = carry

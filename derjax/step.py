@@ -12,6 +12,7 @@ which is that where the rod is expected to be.
 """
 
 from collections.abc import Callable
+from dataclasses import field
 
 import jax.numpy as jnp
 import numpy as np
@@ -23,6 +24,7 @@ from .control import Control
 from .motor import Motor
 from .newton import NewtonInfo, NewtonSettings, equilibrium
 from .potential import Dofs, Mobility, Potential, gather
+from .provenance import CheckSums
 from .pytree import pytree, replace, static
 from .rod import Rod, State, carry_frames
 from .saddle import Saddle, no_drag
@@ -61,6 +63,9 @@ class Scene:
         scheme: how one step of some length is taken.
         control: how the length of steps adapts; None for steps of one length.
         layout: the blocks in which a large robot is solved for; None for one dense matrix.
+        parameters: the numbers that the scene was built of, by their names in scene files and in
+            the units that they have there: for the record, no step asks them.
+        check_sums: of the terms that it was built with; see `provenance`.
     """
 
     rod: Rod
@@ -71,6 +76,8 @@ class Scene:
     scheme: Callable[["Scene", State, Array], Step] = static()
     control: Control | None = None
     layout: Layout | None = None
+    parameters: dict[str, Array] = field(default_factory=dict)
+    check_sums: CheckSums = field(default_factory=dict)
 
 
 def expected_velocity(scene: Scene, state: State, ahead: Array) -> Dofs:

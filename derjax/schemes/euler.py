@@ -16,7 +16,7 @@ def euler(scene: Scene, state: State, length: Array) -> Step:
     turn = turned(scene, state, length)
     terms = prepare(scene, state, 0.5 * length, length)
     interval = Interval(length, state.motor_angle + turn)
-    q, info = solve(scene, terms, state, interval, turn, expected_move(state, length))
+    q, info = solve(scene, terms, state, interval, turn, expected_move(scene, state, length))
     velocity = (q - state.q) / length
     acceleration = (velocity - state.velocity) / length
     error = 0.5 * length**2 * mean_acceleration(state, length, q)

@@ -77,7 +77,7 @@ def trbdf2(scene: Scene, state: State, length: Array) -> Step:
         origin = state.q + known * state.velocity + found * before.velocity
         pace = state.velocity + known * state.acceleration + found * before.acceleration
         turn = turned(scene, state, end)
-        expected = expected_velocity(state, end)
+        expected = expected_velocity(scene, state, end)
         move = origin + part * (expected + before.surprise) - state.q
         terms = prepare(scene, state, end, length)
         interval = Interval(part, state.motor_angle + turn, origin, pace)
