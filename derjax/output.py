@@ -23,14 +23,20 @@ class Output:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._known = {file.name: _signature(file) for file in path.iterdir()}
+        self._known: dict[str, Signature | None] = {}
+        self.include(".")
+
+    def include(self, directory: str) -> None:
+        """Counts what is in a directory below this one among what was found at the start."""
+        for file in (self.path / directory).glob("*"):
+            self._known[str(file.relative_to(self.path))] = _signature(file)
 
     def check(self, names: Iterable[str]) -> None:
         """`InputError` if one of these files must not be replaced."""
         for name in names:
             path = self.path / name
             now = _signature(path)
-            if now is not None and now != self._known.get(name):
+            if now is not None and now != self._known.get(str(Path(name))):
                 raise InputError(
                     f"{path}: was written by another program since this one began; "
                     "it is not replaced"
@@ -49,7 +55,7 @@ class Output:
         with atomic_path(path) as temporary:
             yield temporary
             self.check([name])
-        self._known[name] = _signature(path)
+        self._known[str(Path(name))] = _signature(path)
 
     def remove(self, name: str) -> None:
         """Deletes a file that may be replaced; does nothing if there is none, or another's."""

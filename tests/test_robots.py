@@ -621,13 +621,13 @@ def test_a_table_with_one_column_for_all_motors(tmp_path):
 @pytest.mark.parametrize(
     ("table", "expected"),
     [
-        ("time,rpm_1\n0,1\n2,1\n", "no column rpm_2; a motor table has the columns"),
-        ("time,speed\n0,1\n2,1\n", "no column rpm_1 or rpm_2"),
-        ("rpm_1,rpm_2\n0,1\n2,1\n", "no column time"),
-        ("time,rpm_1,rpm_2\n0,1,1\n2,1,\n", "row 2: not a finite number"),
-        ("time,rpm_1,rpm_2\n0,1,-2e5\n2,1,1\n", "row 1: rpm = 200000: beyond any motor"),
+        ("time,rpm_1\n0,1\n2,1\n", "no column 'rpm_2'; the columns are 'time', 'rpm_1'"),
+        ("time,speed\n0,1\n2,1\n", "no column 'rpm_1' or 'rpm_2'"),
+        ("rpm_1,rpm_2\n0,1\n2,1\n", "no column 'time'"),
+        ("time,rpm_1,rpm_2\n0,1,1\n2,1,\n", "line 3, column 'rpm_2': has no number"),
+        ("time,rpm_1,rpm_2\n0,1,-2e5\n2,1,1\n", "line 2: rpm = 200000: beyond any motor"),
         ("time,rpm_1,rpm_2\n0,1,1\n1,1,1\n", "the motor table covers 0 to 1 s, but"),
-        ("time,rpm_1,rpm_2\n0,1,1\n0,1,1\n2,1,1\n", "row 2: times must increase"),
+        ("time,rpm_1,rpm_2\n0,1,1\n0,1,1\n2,1,1\n", "line 3: times must increase"),
     ],
 )
 def test_complaints_about_tables_for_several_motors(tmp_path, table, expected):

@@ -253,14 +253,14 @@ def test_interrupted_and_resumed(directory, finished, monkeypatch, capsys):
     argv = ["sweep", str(directory / "sweep.toml"), "-o", str(out)]
     told = []
 
-    def add(self: Any, outcomes: Any, entered: Any = sweeps._Book.add) -> None:
+    def add(self: Any, outcomes: Any, entered: Any = sweeps.Book.add) -> None:
         entered(self, outcomes)
         told.append(len(self.rows))
         if len(self.rows) == 4:
             os.kill(os.getpid(), signal.SIGINT)
 
     with monkeypatch.context() as patch:
-        patch.setattr(sweeps._Book, "add", add)
+        patch.setattr(sweeps.Book, "add", add)
         assert main(argv) == 130
     assert told == [0, 2, 4]
     said = capsys.readouterr().err

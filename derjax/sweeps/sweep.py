@@ -1,6 +1,5 @@
 """A sweep as a unit: from a sweep file to a directory with a table and a figure."""
 
-import csv
 import dataclasses
 import json
 import shlex
@@ -13,18 +12,15 @@ from typing import Any
 import jax
 import numpy as np
 
-from .. import trajectory
-from ..files import atomic_path
+from ..errors import InputError
+from ..output import Output, output_directory
 from ..progress import Progress, interruptible
-from ..scenefile import InputError, SceneFile
+from ..scenefile import SceneFile
+from ..textfile import read_text
 from . import points
+from .book import FIGURE, IDENTITY, RESULTS, Book, Row, read_rows
 from .file import Sweep, load_sweep
-from .points import ERROR, INVALID, Cancelled, Chunk, Outcome
-
-RESULTS = "results.csv"
-IDENTITY = "sweep.json"
-FIGURE = "sweep.png"
-TRAJECTORIES = "trajectories"
+from .points import INVALID, Cancelled, Chunk, Outcome
 
 DONE, INTERRUPTED = 0, 130
 
@@ -33,9 +29,6 @@ ON_A_CPU, ELSEWHERE = 4, 128
 
 MOST_OF_A_WORKER = 8
 """Points of a chunk for a worker."""
-
-COSTS = ("time_s", "steps", "rejected_steps", "newton_iterations", "wall_time_s")
-Row = dict[str, str]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,25 +73,35 @@ def sweep(options: Options) -> int:
     """Computes the points of a sweep file and writes a table and a figure.
 
     The table is written anew after every chunk of points. Ctrl-C stops after the current piece
-    of work; what has been finished is kept.
+    of work; what has been finished is kept. If the disk is full, the sweep goes on, and tries
+    again after the next chunk.
 
     Returns:
         The exit code: 0 if all points have a row, also those that failed; 130 interrupted.
 
     Raises:
-        InputError: the sweep file is wrong, no point makes a scene, or there are results that must
-            not be overwritten; nothing has been written.
+        InputError: the sweep file is wrong, no point makes a scene, the directory cannot be
+            written to, another program writes there, or there are results that must not be
+            overwritten; nothing has been written. Or results could not be written at the end.
     """
     plan = load_sweep(options.sweep)
     if options.with_dask:
         from . import farm
 
         farm.check_installed()
-    writing = jax.process_index() == 0
+    if jax.process_index() > 0:
+        return _sweep(options, plan, None)
+    with output_directory(options.output) as output:
+        return _sweep(options, plan, output)
+
+
+def _sweep(options: Options, plan: Sweep, output: Output | None) -> int:
+    """`sweep` of a plan. `output`: None in processes that help another one, which writes."""
+    writing = output is not None
     identity = _identity(plan)
     if writing:
         _check_output(options, identity)
-    rows = _read(options.output / RESULTS) if writing and options.resume else {}
+    rows = read_rows(options.output / RESULTS) if writing and options.resume else {}
     missing = _agreed([k for k in range(len(plan.points)) if k not in rows], len(plan.points))
     if not writing:
         rows = {k: {} for k in set(range(len(plan.points))).difference(missing)}
@@ -109,11 +112,12 @@ def sweep(options: Options) -> int:
         raise InputError(str(invalid[0].row["message"]))
     groups, overlapping = points.programs(files)
     chunks = _chunks(options, plan, files, groups)
-    book = _Book(options.output, plan, rows, writing)
+    book = Book(output, plan, rows)
     book.open(identity, options.overwrite)
     book.add([*invalid, *overlapping])
     interrupted = _compute(options, plan, chunks, book)
     if interrupted:
+        book.close()
         if writing:
             print(
                 f"derjax: interrupted: {len(book.rows)} of {len(plan.points)} points are done; "
@@ -121,14 +125,20 @@ def sweep(options: Options) -> int:
                 file=sys.stderr,
             )
         return INTERRUPTED
-    if not writing:
+    book.close()
+    if output is None:
         return DONE
+    if book.lost:
+        raise InputError(
+            f"{book.problem}. {book.lost} points are not kept; make room and compute them "
+            f"with: {options.command('--resume')}"
+        )
     if options.figures:
         from .figure import figure  # slow to import
 
         drawn = figure(plan, book.rows)
         if drawn is not None:
-            with atomic_path(options.output / FIGURE) as temporary:
+            with output.replacing(FIGURE) as temporary:
                 drawn.savefig(temporary)
     if not options.quiet:
         print(_digest(plan, book.rows, options.output))
@@ -170,7 +180,7 @@ def _chunks(
     return chunks
 
 
-def _compute(options: Options, plan: Sweep, chunks: Sequence[Chunk], book: "_Book") -> bool:
+def _compute(options: Options, plan: Sweep, chunks: Sequence[Chunk], book: Book) -> bool:
     """Computes chunks and enters their outcomes; returns whether the user stopped it."""
     total, first = len(plan.points), len(book.rows)
     quiet = options.quiet or not book.writing
@@ -189,7 +199,7 @@ def _compute(options: Options, plan: Sweep, chunks: Sequence[Chunk], book: "_Boo
             for outcomes in _here(chunks, stopping, lambda d: progress.update(len(book.rows) + d)):
                 book.add(outcomes)
                 progress.update(len(book.rows))
-        return len(book.rows) < total
+        return len(book.rows) + book.lost < total
 
 
 def _here(
@@ -231,77 +241,6 @@ def _anyone(flag: bool) -> bool:
     return bool(multihost_utils.process_allgather(np.array(flag)).any())
 
 
-class _Book:
-    """The table of results, and what else is written point by point.
-
-    Attributes:
-        rows: by the numbers of the points, as they stand in the file.
-        writing: whether this process is the one that writes.
-    """
-
-    def __init__(self, directory: Path, plan: Sweep, rows: dict[int, Row], writing: bool) -> None:
-        self._directory, self._plan = directory, plan
-        self.rows, self.writing = rows, writing
-
-    def open(self, identity: Mapping[str, Any], anew: bool) -> None:
-        """Makes the directory and says what the results in it are of."""
-        if not self.writing:
-            return
-        self._directory.mkdir(parents=True, exist_ok=True)
-        if anew:
-            (self._directory / RESULTS).unlink(missing_ok=True)
-            (self._directory / FIGURE).unlink(missing_ok=True)
-            for path in (self._directory / TRAJECTORIES).glob("point_*.nc"):
-                path.unlink()
-        with atomic_path(self._directory / IDENTITY) as temporary:
-            temporary.write_text(json.dumps(identity, indent=2) + "\n", encoding="utf-8")
-
-    def add(self, outcomes: Sequence[Outcome]) -> None:
-        """Enters points, and writes the table anew."""
-        for outcome in outcomes:
-            varied = self._plan.varied(outcome.number)
-            cells = {"index": outcome.number, **varied, **outcome.row}
-            self.rows[outcome.number] = {k: _text(v) for k, v in cells.items()}
-            if outcome.trajectory is not None and self.writing:
-                path = self._directory / TRAJECTORIES / f"point_{outcome.number:05d}.nc"
-                path.parent.mkdir(exist_ok=True)
-                trajectory.write(outcome.trajectory, path)
-        if outcomes and self.writing:
-            self._write()
-
-    def _write(self) -> None:
-        rows = [self.rows[number] for number in sorted(self.rows)]
-        first = ["index", *self._plan.names, "status", "message"]
-        numbers = dict.fromkeys(name for row in rows for name in row)
-        columns = [*first, *(n for n in numbers if n not in {*first, *COSTS}), *COSTS]
-        with (
-            atomic_path(self._directory / RESULTS) as temporary,
-            temporary.open("w", newline="", encoding="utf-8") as stream,
-        ):
-            writer = csv.DictWriter(stream, columns, restval="", lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
-
-
-def _text(value: Any) -> str:
-    """A cell of the table."""
-    if value is None or (isinstance(value, float) and not np.isfinite(value)):
-        return ""
-    return json.dumps(value) if isinstance(value, list | bool) else str(value)
-
-
-def _read(path: Path) -> dict[int, Row]:
-    """The rows of a table of results, but for those of points that are worth another try."""
-    try:
-        with path.open(newline="", encoding="utf-8") as stream:
-            rows = list(csv.DictReader(stream))
-        return {int(row["index"]): row for row in rows if row["status"] != ERROR}
-    except FileNotFoundError:
-        return {}  # stopped before the first point was done
-    except (OSError, ValueError, KeyError, csv.Error) as error:
-        raise InputError(f"{path}: not a table of results: {error!r}") from None
-
-
 def _identity(plan: Sweep) -> dict[str, Any]:
     """What two sweeps must have in common for one to continue the other, as JSON data."""
     tables = {}
@@ -311,7 +250,7 @@ def _identity(plan: Sweep) -> dict[str, Any]:
     for name in names:
         path = plan.scene_path.parent / str(name)
         if name is not None and path.is_file():
-            tables[str(name)] = path.read_text(encoding="utf-8")
+            tables[str(name)] = read_text(path)
     content = {
         "derjax version": version("derjax"),
         "vary": dict(zip(plan.keys, zip(*plan.points, strict=True), strict=True)),
@@ -326,8 +265,6 @@ def _identity(plan: Sweep) -> dict[str, Any]:
 def _check_output(options: Options, identity: Mapping[str, Any]) -> None:
     """`InputError` if there are results and the options do not say what to do with them."""
     directory, path = options.output, options.output / IDENTITY
-    if directory.exists() and not directory.is_dir():
-        raise InputError(f"{directory}: is not a directory (--output)")
     if not options.resume:
         for existing in (path, directory / RESULTS, directory / FIGURE):
             if existing.exists() and not options.overwrite:
