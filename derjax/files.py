@@ -1,7 +1,9 @@
 """Writing files so that a reader never meets half of one."""
 
+import errno
 import os
 import re
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -76,3 +78,16 @@ def writable_directory(path: Path) -> None:
     finally:
         with suppress(OSError):
             trial.unlink(missing_ok=True)
+
+
+def make_room(path: Path, size: int) -> None:
+    """Makes sure that a file of `size` bytes fits, for libraries that end badly if it does not.
+
+    Raises:
+        OSError: it does not.
+    """
+    if hasattr(os, "posix_fallocate"):
+        with path.open("wb") as stream:
+            os.posix_fallocate(stream.fileno(), 0, size)
+    elif shutil.disk_usage(path.parent).free < size:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

@@ -33,6 +33,7 @@ def locked(directory: Path) -> Iterator[None]:
     descriptor = _acquire(path)
     try:
         os.ftruncate(descriptor, 0)
+        os.lseek(descriptor, 0, os.SEEK_SET)
         os.write(descriptor, json.dumps({"host": platform.node(), "pid": os.getpid()}).encode())
         yield
     finally:

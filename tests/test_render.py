@@ -1,5 +1,7 @@
 """Films of trajectories: what they show, the files they make, and what is refused."""
 
+import errno
+import os
 import sys
 from pathlib import Path
 
@@ -293,6 +295,30 @@ def test_trajectories_that_make_no_film(run, capsys):
 def test_output_that_cannot_be_written(run, monkeypatch, capsys):
     path = run / "trajectory.nc"
     assert f"{path}: is not a directory" in refused([str(run), "-o", str(path)], capsys)
-    monkeypatch.setattr("os.access", lambda *_: False)
-    assert f"{run}: cannot be written to" in refused([str(run)], capsys)
+    monkeypatch.setattr("os.fsync", no_space)
+    assert f"{run}: cannot be written to: No space" in refused([str(run)], capsys)
     assert names(run) == {"trajectory.nc"}
+
+
+def test_a_film_for_which_there_is_no_room(run, monkeypatch, capsys):
+    monkeypatch.setattr(animation.Picture, "show", no_space)
+    path = run / "animation.gif"
+    assert f"{path}: cannot be written: No space left" in refused([str(run)], capsys)
+    assert names(run) == {"trajectory.nc"}
+
+
+def test_a_film_that_appears_meanwhile_is_not_replaced(run, monkeypatch, capsys):
+    path = run / "animation.gif"
+    show = animation.Picture.show
+
+    def write_another(self: animation.Picture, frame: int) -> None:
+        path.write_text("another's")
+        show(self, frame)
+
+    monkeypatch.setattr(animation.Picture, "show", write_another)
+    assert f"{path}: was written by another program" in refused([str(run), "--quiet"], capsys)
+    assert path.read_text() == "another's"
+
+
+def no_space(*_: object) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
