@@ -10,7 +10,7 @@ from pydantic import model_validator
 
 from .errors import InputError
 from .fields import TIME_UNITS, Finite, Positive, Table
-from .tables import Numbers, TextTable, read_table
+from .tables import Numbers, TextTable, read_table, seconds
 
 FASTEST_RPM = 1e5
 
@@ -99,6 +99,15 @@ class MotorTable(Table):
     time: tuple[Finite, ...]
     rpm: tuple[Finite | tuple[Finite, ...], ...]
 
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        rates = np.asarray(self.rpm).reshape(len(self.rpm), -1)
+        if len(rates) != len(self.time):
+            raise ValueError(f"rpm: {len(rates)} rates given for {len(self.time)} times")
+        if rates.size and abs(rates).max() > FASTEST_RPM:
+            raise ValueError(f"rpm = {abs(rates).max():g}: beyond any motor")
+        return self
+
 
 def read_motor_table(path: Path, motor: Motor, end: float, n_motors: int = 1) -> MotorTable:
     """The rates in the table of a motor, which must cover the run from 0 to `end` (s).
@@ -124,7 +133,7 @@ def read_motor_table(path: Path, motor: Motor, end: float, n_motors: int = 1) ->
     time = seconds(found.values[:, 0], motor.time_unit, motor.time_offset, found.is_clock)
     if len(bad := np.flatnonzero(np.diff(time) <= 0)):
         raise InputError(f"{path}: line {found.lines[bad[0] + 1]}: times must increase")
-    if not _covers(time, end):
+    if not covers(time, end):
         raise InputError(f"{path}: {_uncovered(motor, found, time, end)}")
     rpm, lines = found.values[:, 1:], found.lines
     if motor.counts_per_turn is not None:
@@ -136,13 +145,6 @@ def read_motor_table(path: Path, motor: Motor, end: float, n_motors: int = 1) ->
         raise InputError(f"{path}: line {lines[bad[0]]}: rpm = {worst:g}: beyond any motor")
     rates = rpm[:, 0].tolist() if len(names) == 1 else [tuple(row) for row in rpm.tolist()]
     return MotorTable(time=tuple(time.tolist()), rpm=tuple(rates))
-
-
-def seconds(time: Times, unit: str, offset: float, is_clock: bool) -> Times:
-    """Times of a table in s: given in some unit, or from a clock, with an offset in that unit."""
-    if is_clock:
-        return time + offset * TIME_UNITS[unit]
-    return (time + offset) * TIME_UNITS[unit]
 
 
 def _columns(table: TextTable, motor: Motor, n_motors: int) -> tuple[str, ...]:
@@ -186,7 +188,7 @@ def _check_complete(path: Path, found: Numbers, names: Sequence[str]) -> None:
         )
 
 
-def _covers(time: Times, end: float) -> bool:
+def covers(time: Times, end: float) -> bool:
     """Whether a table covers the run from 0 to `end`, but for what may be held."""
     interval = float(np.diff(time).max()) if len(time) > 1 else 0.0
     held = min(interval, HELD * end) * (1 + ROUNDING) + ROUNDING * end
@@ -204,7 +206,7 @@ def _uncovered(motor: Motor, found: Numbers, time: Times, end: float) -> str:
     for name, unit in TIME_UNITS.items():
         scale = 1.0 if found.is_clock else unit
         for offset in (motor.time_offset, -raw[0] * scale / unit):
-            if _covers(seconds(raw, name, offset, found.is_clock), end):
+            if covers(seconds(raw, name, offset, found.is_clock), end):
                 helpful.setdefault(name, (float(np.ptp(raw)) * scale, offset))
     if found.is_clock:
         helpful = {name: it for name, it in helpful.items() if name == motor.time_unit}

@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .errors import InputError
+from .fields import TIME_UNITS
 from .sniffing import DELIMITERS, Format, is_missing, sniff
 from .textfile import LEGACY, encoding_of
 
@@ -161,7 +162,7 @@ class TextTable:
         self,
         names: Sequence[str],
         clock: str | None = None,
-        where: tuple[str, str] | None = None,
+        where: tuple[str, Sequence[str]] | None = None,
     ) -> Numbers:
         """Some columns as numbers.
 
@@ -169,17 +170,17 @@ class TextTable:
             names: of the columns.
             clock: the one of them that may hold clock times, as 00:00:07.5. They become seconds;
                 where such a clock passes midnight it goes on counting.
-            where: a column and the value of the rows that are wanted.
+            where: a column, and the values of the rows that are wanted.
 
         Raises:
             InputError: there is no such column, or a cell is neither a number nor empty; the
                 message names line and column.
         """
         readers = [_Column(self, name, self.column(name), name == clock) for name in names]
-        chosen = self.column(where[0]) if where is not None else None
+        chosen, wanted = (self.column(where[0]), where[1]) if where is not None else (0, None)
         lines = array("q")
         for number, (line, row) in enumerate(self._rows(), 1):
-            if where is not None and chosen is not None and not same(row[chosen], where[1]):
+            if wanted is not None and not any(same(row[chosen], value) for value in wanted):
                 continue
             lines.append(line)
             for reader in readers:
@@ -355,6 +356,15 @@ class _Lines:
                         yield line
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(f"{self._path}: cannot be read: {error}") from None
+
+
+def seconds(
+    time: Float[np.ndarray, " r"], unit: str, offset: float, is_clock: bool
+) -> Float[np.ndarray, " r"]:
+    """Times of a table in s: given in some unit, or from a clock, with an offset in that unit."""
+    if is_clock:
+        return time + offset * TIME_UNITS[unit]
+    return (time + offset) * TIME_UNITS[unit]
 
 
 def normalised(name: str) -> str:

@@ -77,7 +77,7 @@ def test_a_column_goes_by_any_of_its_names(tmp_path):
     assert table.names == ("LABEL", "TRACK_ID", "POSITION_X", "POSITION_T")
     np.testing.assert_array_equal(table.numbers(["POSITION_T", "T", "X"]).values[2], [1, 1, 137.4])
     assert table.text("Track ID") == ["0", "1", ""]
-    assert table.numbers(["X"], where=("TRACK_ID", "1.0")).values.tolist() == [[138.2]]
+    assert table.numbers(["X"], where=("TRACK_ID", ["1.0"])).values.tolist() == [[138.2]]
     with pytest.raises(InputError, match=r"spots\.csv: no column 'Z'; .* 'LABEL', 'TRACK_ID'"):
         table.column("Z")
 

@@ -1,0 +1,110 @@
+"""Dataset files: TOML that names tracks and says how to read them.
+
+scene = "scene.toml"            # relative to this file
+
+[[runs]]
+track = "run1.csv"
+motor_rpm = 70
+columns = { t = "time", x = "x_mm", y = "-y_mm", head_angle = "angle" }
+length_unit = "mm"
+"""
+
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from derjax.fields import Finite, Positive, Switch, Table
+
+from .observe import CHANNELS
+
+LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
+ANGLE_UNITS = {"rad": 1.0, "deg": np.pi / 180.0}
+
+
+class Columns(Table):
+    """The names that the channels have in the header of the track; those that it has.
+
+    A minus before a name turns the sense of an axis or an angle, as of y in images.
+    """
+
+    t: str
+    x: str | None = None
+    y: str | None = None
+    z: str | None = None
+    head_angle: str | None = None
+
+    @model_validator(mode="after")
+    def _something(self) -> Self:
+        if not self.tracked:
+            raise ValueError("besides t give at least one of x, y, z, head_angle")
+        return self
+
+    @property
+    def tracked(self) -> dict[str, str]:
+        """Column name of every channel that was tracked."""
+        named = {channel: getattr(self, channel) for channel in CHANNELS}
+        return {channel: name for channel, name in named.items() if name is not None}
+
+
+class RunFile(Table):
+    """[[runs]] One track and how to read it.
+
+    `motor_rpm` is one rate for all motors, or a list with one for each. Positions are in
+    `length_unit`, or, with `pixel_size`, in pixels of so many of that unit. With `fps` (frames
+    per second) the column t holds the numbers of frames, and the time is 0 at `first_frame`, by
+    default the lowest number in the track; else t is in `time_unit`. Of a table with several
+    objects the rows are taken whose `track_column` is `track_id`, or one of several.
+
+    `t_start` and `t_end` (in `time_unit`) select frames. `time_offset` (in `time_unit`) is
+    added to the times of the track: in the simulation the motor starts at time 0, which for a
+    camera switched on 3 s later is 3 s before its first frame. `sigma` is the noise of positions
+    in `length_unit`, `sigma_angle` that of the angle in `angle_unit`; left out, the noise is
+    estimated. `origin` says what positions are relative to: with "scene" they are those of
+    the scene, with "track" only displacements are compared. With `drift = true` the robot may drift
+    besides, as in a tank that flows: a steady velocity is fitted.
+    """
+
+    track: str
+    motor_rpm: Finite | tuple[Finite, ...] | None = None
+    columns: Columns
+    track_id: Finite | str | tuple[Finite | str, ...] | None = None
+    track_column: str | None = None
+    length_unit: Literal["m", "cm", "mm", "um"] = "m"
+    pixel_size: Positive | None = None
+    time_unit: Literal["s", "ms", "us", "min"] = "s"
+    fps: Positive | None = None
+    first_frame: Finite | None = None
+    angle_unit: Literal["rad", "deg"] = "rad"
+    sigma: Positive | None = None
+    sigma_angle: Positive | None = None
+    t_start: Finite | None = None
+    t_end: Finite | None = None
+    time_offset: Finite = 0.0
+    origin: Literal["scene", "track"] = "scene"
+    drift: Switch = False
+
+    @model_validator(mode="after")
+    def _together(self) -> Self:
+        for name, needed in (("first_frame", "fps"), ("track_column", "track_id")):
+            if getattr(self, name) is not None and getattr(self, needed) is None:
+                raise ValueError(f"{name}: is only for runs with {needed}")
+        return self
+
+    @property
+    def length(self) -> float:
+        """What a position of 1 is, in m."""
+        return LENGTH_UNITS[self.length_unit] * (self.pixel_size or 1.0)
+
+    @property
+    def tracks(self) -> tuple[str, ...]:
+        """The values of `track_id`; none if all rows are taken."""
+        given = () if self.track_id is None else self.track_id
+        return tuple(map(str, given if isinstance(given, tuple) else (given,)))
+
+
+class DatasetFile(Table):
+    """A whole dataset file."""
+
+    scene: str
+    runs: Annotated[tuple[RunFile, ...], Field(min_length=1)]
