@@ -1,5 +1,6 @@
 """The command line, from arguments to files and exit codes."""
 
+import errno
 import json
 import os
 import signal
@@ -198,6 +199,116 @@ def test_interrupted_while_compiling(scene, monkeypatch, capsys):
     assert main(["simulate", str(scene), "-o", str(scene.parent / "out")]) == 130
     assert "interrupted" in capsys.readouterr().err
     assert not (scene.parent / "out").exists()
+
+
+def test_terminated_is_interrupted(scene, monkeypatch, capsys):
+    """SIGTERM, by which queues end jobs, at a moment at which nothing can be saved."""
+
+    def compile_frame(*_: object) -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr(simulation, "compile_frame", compile_frame)
+    assert main(["simulate", str(scene), "-o", str(scene.parent / "out")]) == 130
+    assert "interrupted" in capsys.readouterr().err
+    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+
+
+def full_disk(monkeypatch: pytest.MonkeyPatch, *suffixes: str, times: int = 1000) -> None:
+    """Leaves no room for files with some suffixes, the first so many times."""
+    left = dict.fromkeys(suffixes, times)
+    replace = os.replace
+
+    def refuse(old: Path, new: Path) -> None:
+        if left.get(Path(new).suffix, 0):
+            left[Path(new).suffix] -= 1
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        replace(old, new)
+
+    monkeypatch.setattr("derjax.files.os.replace", refuse)
+
+
+def test_a_full_disk_does_not_stop_a_run(scene, finished, monkeypatch, capsys):
+    """It goes on, says so once, and ends well when there is room again."""
+    out = scene.parent / "out"
+    monkeypatch.setattr(simulation, "SECONDS_BETWEEN_SAVES", 0.0)
+    full_disk(monkeypatch, ".npz", times=4)
+    assert main(["simulate", str(scene), "-o", str(out), "--no-figures"]) == 0
+    said = capsys.readouterr().err
+    warning = f"{out / 'checkpoint.npz'}: cannot be written: No space left on device"
+    assert said.count(warning) == 1
+    assert {path.name for path in out.iterdir()} == {"trajectory.nc", "summary.json"}
+    assert_same_trajectory(out, finished / "out")
+
+
+def test_what_a_full_disk_does_not_take_is_kept(scene, finished, monkeypatch, capsys):
+    out = scene.parent / "out"
+    argv = ["simulate", str(scene), "-o", str(out), "--no-figures"]
+    with monkeypatch.context() as patch:
+        full_disk(patch, ".nc")
+        assert main(argv) == 2
+    said = capsys.readouterr().err
+    assert f"{out / 'trajectory.nc'}: cannot be written: No space left on device" in said
+    assert f"What was computed is in {out / 'checkpoint.npz'}; resume with: derjax" in said
+    assert main([*argv, "--resume"]) == 0
+    assert_same_trajectory(out, finished / "out")
+
+
+def test_a_checkpoint_finds_another_place(scene, finished, monkeypatch, tmp_path, capsys):
+    """Where neither results nor a checkpoint can be written; the advice works when followed."""
+    out = scene.parent / "out"
+    argv = ["simulate", str(scene), "-o", str(out), "--no-figures"]
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with monkeypatch.context() as patch:
+        full_disk(patch, ".nc")
+        full_disk(patch, ".npz", times=1)
+        assert main(argv) == 2
+    said = capsys.readouterr().err
+    (kept,) = tmp_path.glob("derjax-*/checkpoint.npz")
+    assert f"{kept}; move it to {out / 'checkpoint.npz'} and resume with: derjax" in said
+    out.mkdir(exist_ok=True)
+    kept.rename(out / "checkpoint.npz")
+    assert main([*argv, "--resume"]) == 0
+    assert_same_trajectory(out, finished / "out")
+
+
+def test_interrupted_on_a_full_disk(scene, monkeypatch, tmp_path, capsys):
+    out = scene.parent / "out"
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    full_disk(monkeypatch, ".npz", times=1)
+    interrupt_after(monkeypatch, 0.2)
+    assert main(["simulate", str(scene), "-o", str(out), "--no-figures"]) == 130
+    (kept,) = tmp_path.glob("derjax-*/checkpoint.npz")
+    assert f"interrupted. What was computed is in {kept}; move it" in capsys.readouterr().err
+
+
+def test_results_that_appear_meanwhile_are_not_replaced(scene, monkeypatch, capsys):
+    out = scene.parent / "out"
+
+    def update(self: Progress, done: float) -> None:
+        (out / "summary.json").write_text("another's")
+
+    monkeypatch.setattr(Progress, "update", update)
+    assert main(["simulate", str(scene), "-o", str(out), "--no-figures"]) == 2
+    said = capsys.readouterr().err
+    assert f"{out / 'summary.json'}: was written by another program" in said
+    assert f"What was computed is in {out / 'checkpoint.npz'}" in said
+    assert (out / "summary.json").read_text() == "another's"
+    assert {path.name for path in out.iterdir()} == {"summary.json", "checkpoint.npz"}
+
+
+def test_two_runs_into_one_directory(scene, monkeypatch, capsys):
+    out = scene.parent / "out"
+    argv = ["simulate", str(scene), "-o", str(out), "--no-figures", "--quiet"]
+    codes = []
+
+    def update(self: Progress, done: float) -> None:
+        if not codes:
+            codes.append(main([*argv, "--overwrite"]))
+
+    monkeypatch.setattr(Progress, "update", update)
+    assert main(argv) == 0
+    assert codes == [2]
+    assert f"{out}: process {os.getpid()} on" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("what", [b"", b"not a checkpoint"])
