@@ -158,7 +158,7 @@ def robots() -> pd.DataFrame:
             steps = jnp.asarray(plain.steps_per_frame)
             states, report = _march(scene, state, plain.n_frames, steps, new_report())
             frames = jax.tree.map(lambda a, b: np.concatenate([a[None], b]), state, states)
-            summary = summarise(to_dataset(plain, scene, frames), plain)
+            summary = summarise(to_dataset(plain, scene, frames))
             edge = float(scene.rod.rest_length[0])
             rows.append(
                 {

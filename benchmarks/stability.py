@@ -52,8 +52,9 @@ from derjax.progress import Progress, interruptible
 from derjax.pytree import replace
 from derjax.rollout import SEGMENTS, TRIES, _attempt, _going, _Run, new_report
 from derjax.runtime import enable_compilation_cache, use_one_blas_thread
-from derjax.scene import touching_pairs
+from derjax.scene import build_unchecked
 from derjax.scenefile import TOLERANCES, MotorTable, Time, check
+from derjax.shape import touching_pairs
 
 END, SHORT = 1.0, 0.2
 """Length of a run, s."""
@@ -382,7 +383,7 @@ def scene_of(value: Value, times: dict[str, Any]) -> tuple[SceneFile, Scene, Sta
         padded = [*value.motor, *((value.end + 1.0 + k, value.motor[-1][1]) for k in ends)]
         instants, rates = zip(*padded, strict=True)
         plain = plain.model_copy(update={"motor_table": MotorTable(time=instants, rpm=rates)})
-    scene, state = derjax.build(plain, value.numbers | value.unchecked)
+    scene, state = build_unchecked(plain, value.numbers | value.unchecked)
     return checked, scene, state
 
 

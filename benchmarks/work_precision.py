@@ -237,7 +237,7 @@ class Runs:
         frames = jax.tree.map(lambda a, b: np.concatenate([a[None], b]), state, states)
         summary = dict.fromkeys(("v_x_m_per_s", "head_rate_rad_per_s"), np.nan)
         if report.ok:
-            summary = summarise(to_dataset(file, scene, frames), file)
+            summary = summarise(to_dataset(file, scene, frames))
         nodes = np.asarray(jax.vmap(lambda q: positions(scene.rod.topology, q))(frames.q))
         helices = [path[2:] for path in scene.rod.topology.filaments]  # after the motor's shaft
         moved = np.stack([(nodes - nodes[:1])[:, path] for path in helices], axis=1)

@@ -1,6 +1,5 @@
 """From a scene file to the terms that it names: the registry of physical ingredients."""
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -8,34 +7,23 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .blocks import Layout
 from .control import Control
 from .defaults import SLIP
 from .motor import Motor
-from .neighbours import PENETRATION, pairs_apart
 from .newton import NewtonSettings
+from .provenance import check_sums
 from .pytree import Indices, replace
-from .robots import (
-    Body,
-    arc,
-    around,
-    branched,
-    clamped,
-    edge_count,
-    helix,
-    helix_contour,
-    single_flagellum,
-    two_flagella,
-)
 from .rod import Rod, State, Topology, at_rest
 from .scenefile import Friction as FrictionTable
 from .scenefile import InputError, SceneFile
 from .schemes.corrected import corrected
 from .schemes.euler import euler
 from .schemes.trbdf2 import trbdf2
-from .segments import distance
+from .shape import body_of, touching_pairs
 from .step import Scene, Step
 from .terms.bend import Bend
 from .terms.block_stokeslets import BlockStokeslets
@@ -62,7 +50,11 @@ def build(scene: SceneFile, parameters: Parameters | None = None) -> tuple[Scene
     """The scene that a file describes, and the state in which it starts, at rest.
 
     A smooth function of `parameters`, so that a rollout may be differentiated with respect to
-    any of them; the number of nodes is that of the file's own dimensions.
+    any of them. The number of nodes, steps and frames are those of the file's own numbers.
+
+    Parameters are checked as if they stood in the file. Where JAX traces one of them, as under
+    `jax.jit`, `jax.grad` or `jax.vmap`, they are not known and cannot be checked, and the pairs of
+    edges that may touch are those of the file's own dimensions.
 
     Args:
         scene: the checked file; its choices decide which terms there are.
@@ -71,14 +63,52 @@ def build(scene: SceneFile, parameters: Parameters | None = None) -> tuple[Scene
 
     Raises:
         KeyError: a parameter that the scene does not have.
-        InputError: parts of the robot that must not touch overlap at the start.
+        InputError: a number that cannot be, or parts of the robot that must not touch overlap at
+            the start.
     """
+    given = dict(parameters or {})
+    _check_names(scene, given)
+    if not given or any(isinstance(value, Tracer) for value in jax.tree.leaves(given)):
+        return build_unchecked(scene, given)
+    _check_numbers(scene, given)
+    return _assembled(scene, given, scene.parameters_with(given))
+
+
+def build_unchecked(scene: SceneFile, parameters: Parameters) -> tuple[Scene, State]:
+    """`build`, with parameters that are not checked: as if JAX traced them.
+
+    Raises:
+        KeyError: a parameter that the scene does not have.
+        InputError: parts of the robot of the file itself overlap.
+    """
+    _check_names(scene, parameters)
+    return _assembled(scene, parameters, scene.parameters)
+
+
+def _assembled(scene: SceneFile, given: Parameters, shape: Parameters) -> tuple[Scene, State]:
+    """The scene with some parameters given; those of `shape` say which edges may touch."""
+    pairs = touching_pairs(scene, shape) if scene.touching else None
+    numbers = scene.parameters_with(given)
+    return _build(
+        scene, pairs, {name: jnp.asarray(value, float) for name, value in numbers.items()}
+    )
+
+
+def _check_names(scene: SceneFile, given: Parameters) -> None:
     known = scene.parameters
-    for name in parameters or {}:
+    for name in given:
         if name not in known:
             raise KeyError(f"no parameter {name!r}; the scene has {', '.join(known)}")
-    numbers = scene.parameters_with(parameters or {})
-    return _build(scene, {name: jnp.asarray(value, float) for name, value in numbers.items()})
+
+
+def _check_numbers(scene: SceneFile, given: Parameters) -> None:
+    """Refuses numbers that could not stand in the file."""
+    changed = scene.with_parameters(given)
+    if scene.in_blocks and not changed.in_blocks and scene.solver.method != "dense":
+        raise InputError(
+            f"[fluid] regularization = {changed.regularization:g}: too large for blocks, in which "
+            "a robot of many nodes is solved for; give it in the scene file"
+        )
 
 
 def enlarge(scene: Scene) -> Scene:
@@ -87,57 +117,42 @@ def enlarge(scene: Scene) -> Scene:
     return replace(scene, terms=tuple(terms))
 
 
-@partial(jax.jit, static_argnums=0)  # as one program: quicker than operation by operation
-def _build(scene: SceneFile, p: dict[str, Array]) -> tuple[Scene, State]:
-    body = _body(scene, p)
+@partial(jax.jit, static_argnums=(0, 1))  # as one program: quicker than operation by operation
+def _build(scene: SceneFile, pairs: Indices | None, p: dict[str, Array]) -> tuple[Scene, State]:
+    body = body_of(scene, p)
     rod, state = at_rest(body.topology, body.nodes)
+    terms = tuple(_terms(scene, p, rod, body.stiff_hinges, pairs))
     built = Scene(
         rod=rod,
-        terms=tuple(_terms(scene, p, rod, body.stiff_hinges)),
+        terms=terms,
         motor=_motor(scene, p, rod.topology),
         newton=_newton(scene, p, rod),
         step_length=jnp.asarray(scene.step),
         scheme=_scheme(scene),
         control=_control(scene, rod),
         layout=_layout(scene, rod.topology),
+        parameters=p,
+        check_sums=check_sums(terms),
     )
     return built, state
 
 
-def _body(scene: SceneFile, p: dict[str, Array]) -> Body:
-    robot = scene.robot
-    filaments, edge = _filaments(scene, p)
-    if robot.kind == "single_flagellum":
-        return single_flagellum(filaments[0], edge)
-    if robot.kind == "two_flagella":
-        return two_flagella((filaments[0], filaments[1]), edge, p["separation"])
-    separation = p.get("separation", jnp.zeros(()))
-    return {"branched": branched, "clamped": clamped}[robot.kind](filaments, edge, separation)
-
-
-def _filaments(scene: SceneFile, p: dict[str, Array]) -> tuple[list[Array], Array]:
-    """The filaments of a robot, each in a frame of its own, and the length of their edges."""
-    robot, length = scene.robot, p["axial_length"]
-    if robot.shape == "helix":
-        radius, pitch = p["helix_radius"], p["pitch"]
-        n_edges = edge_count(robot.helix_radius, robot.pitch, robot.axial_length, robot.edge_length)
-        edge = helix_contour(radius, pitch, length) / n_edges
-        filaments = [helix(radius, pitch, length, n_edges, hand) for hand in robot.hands]
-    else:
-        n_edges = max(3, math.floor(robot.axial_length / robot.edge_length + 1e-9))
-        edge = length / n_edges
-        bend = p.get("bend", jnp.zeros(()))
-        filaments = [arc(length, bend, n_edges) for _ in robot.hands]
-    return [
-        around(phase, nodes) if phase else nodes
-        for phase, nodes in zip(robot.phases, filaments, strict=True)
-    ], edge
-
-
 def _terms(
-    scene: SceneFile, p: dict[str, Array], rod: Rod, stiff_hinges: Sequence[int]
+    scene: SceneFile,
+    p: dict[str, Array],
+    rod: Rod,
+    stiff_hinges: Sequence[int],
+    pairs: Indices | None,
 ) -> list[Term]:
-    """The terms of a scene. A new ingredient is registered here and nowhere else."""
+    """The terms of a scene. A new ingredient is registered here and nowhere else.
+
+    Args:
+        scene: what there is.
+        p: its numbers.
+        rod: of the robot.
+        stiff_hinges: hinges of the arms of a head.
+        pairs: the edges that may touch; None if rods are not kept apart.
+    """
     topology, fluid = rod.topology, scene.fluid
     radius, modulus = p["rod_radius"], p["youngs_modulus"]
     area, inertia = jnp.pi * radius**2, jnp.pi * radius**4 / 4
@@ -154,31 +169,28 @@ def _terms(
         viscosity, size = p["viscosity"], p["head_radius"]
         spin = 8 * jnp.pi * viscosity * size**3 * p["C_r"]
         tilt = spin if scene.head_rotation == "full" else jnp.zeros(())
-        terms.append(HeadDrag(6 * jnp.pi * viscosity * size * p["C_t"], spin, tilt))
+        terms.append(HeadDrag(6 * jnp.pi * viscosity * size * p["C_t"], spin, tilt, size))
     if fluid.hydrodynamics != "none":
         drag = _stokeslets(scene, p, rod) if fluid.hydrodynamics == "rss" else _resistive(scene, p)
         terms.append(Lagged(drag) if scene.time.scheme == "explicit" else drag)
-    if scene.contact_method == "smooth":
-        contact = _contact(scene, p, rod)
+    if pairs is not None and scene.contact_method == "smooth":
+        contact = _contact(scene, p, rod, pairs)
         terms.append(contact)
         if scene.friction is not None and scene.rubbing:
             terms.append(Friction(contact, p["friction"], _slip_speed(scene.friction, p)))
-    if scene.contact_method == "spillmann_teschner":
+    if pairs is not None and scene.contact_method == "spillmann_teschner":
         mass = _mass(scene, p, rod)
         nodes = mass[: 3 * topology.n_nodes : 3]
-        pairs = touching_pairs(scene)
         terms.append(SpillmannTeschner(radius, nodes, jnp.zeros_like(mass), pairs))
     if scene.time.inertia or scene.time.scheme == "explicit":
         terms.append(Inertia(_mass(scene, p, rod)))
     if scene.gravity is not None:
-        volume = _node_length(rod) * area
-        buoyant = volume * (p["density"] - p["fluid_density"])
-        terms.append(Gravity(buoyant, jnp.array(scene.gravity.acceleration)))
+        acceleration = jnp.array(scene.gravity.acceleration)
+        terms.append(Gravity(_buoyant_mass(scene, p, rod), acceleration))
     return terms
 
 
-def _contact(scene: SceneFile, p: dict[str, Array], rod: Rod) -> Contact:
-    pairs = touching_pairs(scene)
+def _contact(scene: SceneFile, p: dict[str, Array], rod: Rod, pairs: Indices) -> Contact:
     capacity = scene.contact.capacity or 3 * rod.topology.n_edges // 2
     return Contact(p["contact_stiffness"], p["rod_radius"], pairs, min(capacity, len(pairs.array)))
 
@@ -188,40 +200,6 @@ def _slip_speed(friction: FrictionTable, p: dict[str, Array]) -> Array:
     if friction.slip_speed is not None:
         return jnp.array(friction.slip_speed)
     return SLIP * (2 * jnp.pi / 60) * jnp.max(jnp.abs(p["rpm"])) * p["rod_radius"]
-
-
-def touching_pairs(scene: SceneFile) -> Indices:
-    """The pairs of edges of a robot that can touch.
-
-    Those between which there is less rod than pi r_0 cannot: a rod that bends back on itself
-    as tightly as its thickness allows touches itself after half a turn of that radius.
-    """
-    with jax.ensure_compile_time_eval():
-        body = _body(scene, {k: jnp.asarray(v) for k, v in scene.parameters.items()})
-        start, end = body.topology.edge_nodes.T
-        length = np.linalg.norm(np.asarray(body.nodes)[end] - np.asarray(body.nodes)[start], axis=1)
-    pairs = pairs_apart(body.topology, length, np.pi * scene.robot.rod_radius)
-    _check_apart(scene, np.asarray(body.nodes)[body.topology.edge_nodes], pairs)
-    return pairs
-
-
-def _check_apart(scene: SceneFile, edges: Float[np.ndarray, "e 2 3"], pairs: Indices) -> None:
-    """Refuses a robot whose parts overlap from the start."""
-    middle = edges.mean(axis=1)
-    half = 0.5 * np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)
-    first, second = pairs.array.T
-    apart = np.linalg.norm(middle[first] - middle[second], axis=1) - half[first] - half[second]
-    close = pairs.array[apart < 2 * scene.robot.rod_radius]
-    if len(close) == 0:
-        return
-    with jax.ensure_compile_time_eval():
-        nearest = float(distance(jnp.asarray(edges[close].reshape(-1, 4, 3))).min())
-    if nearest < (1 - PENETRATION) * 2 * scene.robot.rod_radius:
-        raise InputError(
-            f"[robot]: two parts of the robot overlap at the start, their centre lines "
-            f"{nearest:.3g} m apart and the rod {2 * scene.robot.rod_radius:.3g} m thick; "
-            f"try a larger separation (now {scene.robot.separation:g} m) or other phases"
-        )
 
 
 LARGE = 150
@@ -279,12 +257,34 @@ def _mass(scene: SceneFile, p: dict[str, Array], rod: Rod) -> Float[Array, " d"]
     line_density = p["density"] * jnp.pi * p["rod_radius"] ** 2
     mass = line_density * _node_length(rod)
     if rod.topology.head is not None:
-        head = scene.head.mass
-        if head is None:
-            head = 4 / 3 * jnp.pi * p["head_radius"] ** 3 * p["density"]
-        mass = mass.at[rod.topology.head.node].set(head)
+        mass = mass.at[rod.topology.head.node].set(_head_mass(scene, p))
     polar = 0.5 * p["rod_radius"] ** 2 * line_density * rod.rest_length
     return jnp.concatenate([jnp.repeat(mass, 3), polar])
+
+
+def _head_volume(p: dict[str, Array]) -> Array:
+    """m^3, of a ball."""
+    return 4 / 3 * jnp.pi * p["head_radius"] ** 3
+
+
+def _head_mass(scene: SceneFile, p: dict[str, Array]) -> Array:
+    """kg; by default that of a ball of the material."""
+    if scene.head.mass is not None:
+        return jnp.asarray(scene.head.mass)
+    return _head_volume(p) * p["density"]
+
+
+def _buoyant_mass(scene: SceneFile, p: dict[str, Array], rod: Rod) -> Float[Array, " n"]:
+    """Mass (kg) of every node less that of the fluid in its place.
+
+    The head stands for itself and for the rod within, as it does in `_mass`.
+    """
+    area = jnp.pi * p["rod_radius"] ** 2
+    mass = _node_length(rod) * area * (p["density"] - p["fluid_density"])
+    if rod.topology.head is None:
+        return mass
+    head = _head_mass(scene, p) - _head_volume(p) * p["fluid_density"]
+    return mass.at[rod.topology.head.node].set(head)
 
 
 def _scheme(scene: SceneFile) -> Callable[[Scene, State, Array], Step]:

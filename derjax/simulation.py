@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 
 from . import summary as summaries
 from . import trajectory
@@ -249,7 +250,7 @@ def _write_results(
         "status": texts["status"],
         "message": texts["message"],
         "time_s": float(dataset.time[-1]),
-        **summaries.summarise(dataset, file),
+        **summaries.summarise(dataset),
         "steps": int(report.steps),
         "rejected_steps": int(report.rejected),
         "newton_iterations": int(report.iterations),
@@ -260,7 +261,7 @@ def _write_results(
         "derjax_version": version("derjax"),
         "jax_version": jax.__version__,
         "scene": str(options.scene),
-        "parameters": file.parameters,
+        "parameters": {name: np.asarray(value) for name, value in scene.parameters.items()},
     }
     output.check([TRAJECTORY, SUMMARY, *(FIGURES if options.figures else ())])
     with output.replacing(TRAJECTORY) as temporary:

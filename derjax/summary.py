@@ -17,7 +17,8 @@ steadily:
     Mean distance from the head node to the last node.
 `propulsive_force_N`
     `6 pi mu r_h C_t v_x`: the x component of the force with which the flagella push the head,
-    opposite to the drag on the head; negative when the robot swims towards -x.
+    opposite to the drag on the head; negative when the robot swims towards -x. The drag is that of
+    the run, `head_drag` in the trajectory.
 `efficiency`
     `eta = F r_h / T`, with F the magnitude of the propulsive force and
     `T = 8 pi mu r_h^3 C_r |head_rate|` the drag torque on the head, that is
@@ -54,7 +55,6 @@ import numpy as np
 import xarray as xr
 
 from .files import atomic_path
-from .scenefile import SceneFile
 
 Numbers = dict[str, Any]
 
@@ -79,8 +79,8 @@ def slope(time: np.ndarray, values: np.ndarray) -> float:
     return float(centred @ (values - values.mean()) / (centred @ centred))
 
 
-def summarise(trajectory: xr.Dataset, scene: SceneFile) -> Numbers:
-    """The numbers defined above, of a trajectory made by `to_dataset` from `scene`."""
+def summarise(trajectory: xr.Dataset) -> Numbers:
+    """The numbers defined above, of a trajectory made by `to_dataset`."""
     numbers: Numbers = dict.fromkeys(NAMES)
     time = trajectory.time.to_numpy()
     chosen = window(time)
@@ -98,16 +98,21 @@ def summarise(trajectory: xr.Dataset, scene: SceneFile) -> Numbers:
         "head_rate_lab_x_rad_per_s": float(part.head_angular_velocity.sel(axis="x").mean()),
         "tail_to_head_m": float(np.linalg.norm(reach, axis=-1).mean()),
     }
-    if scene.head.drag == "none":
+    if "head_drag" not in trajectory:
         return numbers
-    size, viscosity = scene.robot.head_radius, scene.fluid.viscosity
-    force = 6 * math.pi * viscosity * size * scene.head.C_t * speed
-    torque = 8 * math.pi * viscosity * size**3 * scene.head.C_r * abs(rate)
+    force = float(trajectory.head_drag) * speed
+    torque = float(trajectory.head_spin_drag) * abs(rate)
     numbers["propulsive_force_N"] = force
-    if scene.robot.count > 1:
-        numbers["propulsive_force_per_flagellum_N"] = force / scene.robot.count
-    numbers["efficiency"] = abs(force) * size / torque if torque > 0 else None
+    if (count := _flagella(trajectory)) > 1:
+        numbers["propulsive_force_per_flagellum_N"] = force / count
+    efficiency = abs(force) * float(trajectory.head_drag_radius) / torque if torque > 0 else None
+    numbers["efficiency"] = efficiency
     return numbers
+
+
+def _flagella(trajectory: xr.Dataset) -> int:
+    """How many flagella a robot has."""
+    return int(trajectory.filament.max()) + 1
 
 
 def _bundle(whole: xr.Dataset, part: xr.Dataset) -> Numbers:

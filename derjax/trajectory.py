@@ -5,11 +5,12 @@
     trajectory.head_position.sel(axis="x").plot()
 
 All quantities are in SI units and every one says so in its attributes. The file also holds
-the scene file that it comes from, so that it can be computed again.
+the scene file that it comes from, with the numbers of the run, so that it can be computed again.
 """
 
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -22,15 +23,22 @@ import xarray as xr
 from jaxtyping import Array
 
 from . import bundling, kinematics
-from .files import atomic_path
+from .files import atomic_path, make_room
 from .motor import Motor
+from .parameters import UNITS
+from .provenance import changed
 from .rod import State, Topology, angles, positions
-from .scenefile import UNITS, SceneFile
+from .scenefile import SceneFile
 from .step import Scene
 from .terms.contact import Contact
+from .terms.head import HeadDrag
 
-DIGITS_OF_TIME = 12
-"""Times are rounded to 1e-12 s: adding up a thousand steps leaves 0.30000000000000004 s."""
+HDF5_OVERHEAD, HDF5_HEADERS = 1.05, 1 << 17
+"""How much larger a file is than its numbers, and its bytes besides them."""
+
+DIGITS_OF_TIME = 10
+"""To which times are rounded, counted from the first digit of the end of the run: adding up
+thousands of steps leaves 30.000000000002 s."""
 
 
 def to_dataset(
@@ -38,9 +46,12 @@ def to_dataset(
 ) -> xr.Dataset:
     """A trajectory, labelled.
 
+    Numbers are those of the scene, which may have been built of others than the file has. If some
+    of its terms are not as they were built, the attribute `changed_terms` names them.
+
     Args:
-        file: the scene file; its parameters become attributes.
-        scene: what was built from it.
+        file: the scene file, for its choices.
+        scene: what was built from it; its parameters become attributes.
         states: the states, with a leading axis of time on every leaf, as `rollout` returns.
         attributes: more attributes of the data set, of text and numbers.
 
@@ -66,11 +77,12 @@ def to_dataset(
         ),
         **_motor(scene, states),
         **_head(topology, states),
-        **_bundle(file, scene, nodes),
+        **_head_drag(scene),
+        **_bundle(scene, nodes),
     }
     start, end = topology.edge_nodes.T
     coordinates = {
-        "time": _variable("time", np.round(states.time, DIGITS_OF_TIME), "s", "time"),
+        "time": _variable("time", rounded(states.time), "s", "time"),
         "node": _variable("node", np.arange(topology.n_nodes), "1", "number of the node"),
         "axis": ("axis", ["x", "y", "z"], {"long_name": "axis of the laboratory frame"}),
         "edge": _variable("edge", np.arange(topology.n_edges), "1", "number of the edge"),
@@ -83,13 +95,26 @@ def to_dataset(
             "number of the flagellum that the edge belongs to, -1 for the head",
         ),
     }
-    return xr.Dataset(variables, coordinates, _attributes(file) | dict(attributes or {}))
+    return xr.Dataset(variables, coordinates, _attributes(file, scene) | dict(attributes or {}))
+
+
+def rounded(time: Any) -> np.ndarray:
+    """Times (s) of a run without what adding up steps leaves."""
+    time = np.asarray(time)
+    end = float(np.max(np.abs(time)))
+    if not (end > 0 and np.isfinite(end)):
+        return time
+    digits = DIGITS_OF_TIME - 1 - math.floor(math.log10(end))
+    # In decimals, as the nearest number to what is written is wanted.
+    return np.array([float(f"{t:.{digits}f}") if digits > 0 else round(t, digits) for t in time])
 
 
 def write(dataset: xr.Dataset, path: str | Path) -> None:
     """Writes a NetCDF4 file, replacing an older one in one go."""
     encoding = {name: {"_FillValue": None} for name in dataset.variables}
     with atomic_path(path) as temporary:
+        texts = sum(len(str(value)) for value in dataset.attrs.values())
+        make_room(temporary, int(HDF5_OVERHEAD * (dataset.nbytes + texts)) + HDF5_HEADERS)
         dataset.to_netcdf(temporary, engine="h5netcdf", encoding=encoding)
 
 
@@ -172,13 +197,50 @@ def _motion_of_head(topology: Topology, states: State) -> dict[str, Array]:
     }
 
 
-def _bundle(file: SceneFile, scene: Scene, nodes: np.ndarray) -> dict[str, tuple[Any, ...]]:
+def _head_drag(scene: Scene) -> dict[str, tuple[Any, ...]]:
+    """What resists the motion of the head: the sum of all terms that do."""
+    drags = [term for term in scene.terms if isinstance(term, HeadDrag)]
+    if not drags:
+        return {}
+    radii = {float(drag.radius) for drag in drags}
+    return {
+        "head_drag": _variable(
+            "",
+            sum(drag.translation for drag in drags),
+            "N s/m",
+            "resistance of the head to translation",
+        ),
+        "head_spin_drag": _variable(
+            "",
+            sum(drag.spin for drag in drags),
+            "N m s",
+            "resistance of the head to spin about its own axis",
+        ),
+        "head_drag_radius": _variable(
+            "",
+            radii.pop() if len(radii) == 1 else np.nan,
+            "m",
+            "radius of the head that has this drag",
+        ),
+    }
+
+
+def _rod_radius(scene: Scene, contacts: Sequence[Contact]) -> float | None:
+    """m, of rods that touch, or else of those that the scene was built of."""
+    if contacts:
+        return max(float(contact.radius) for contact in contacts)
+    known = scene.parameters.get("rod_radius")
+    return None if known is None else float(known)
+
+
+def _bundle(scene: Scene, nodes: np.ndarray) -> dict[str, tuple[Any, ...]]:
     """How close the flagella are; see `bundling`."""
     topology = scene.rod.topology
-    contact = next((t for t in scene.terms if isinstance(t, Contact)), None)
+    contacts = [term for term in scene.terms if isinstance(term, Contact)]
+    radius = _rod_radius(scene, contacts)
     variables = {}
-    if len(topology.filaments) > 1:
-        close = bundling.closeness(topology, nodes, 2.0 * file.robot.rod_radius)
+    if len(topology.filaments) > 1 and radius is not None:
+        close = bundling.closeness(topology, nodes, 2.0 * radius)
         variables |= {
             "minimum_distance": _variable(
                 "time", close.minimum_distance, "m", "smallest distance of two flagella's axes"
@@ -196,8 +258,9 @@ def _bundle(file: SceneFile, scene: Scene, nodes: np.ndarray) -> dict[str, tuple
                 "angle that the base of the flagellum has turned about the x axis",
             ),
         }
-    if contact is not None:
-        forces = np.asarray(bundling.contact_forces(contact, topology, nodes))
+    if contacts:
+        each = [bundling.contact_forces(contact, topology, nodes) for contact in contacts]
+        forces = np.concatenate(each, axis=1)
         variables |= {
             "contact_count": _variable(
                 "time", (forces > 0).sum(axis=1), "1", "pairs of edges that touch"
@@ -209,13 +272,15 @@ def _bundle(file: SceneFile, scene: Scene, nodes: np.ndarray) -> dict[str, tuple
     return variables
 
 
-def _attributes(file: SceneFile) -> dict[str, Any]:
+def _attributes(file: SceneFile, scene: Scene) -> dict[str, Any]:
     """Versions, the scene's choices as JSON, and each of its parameters by name."""
-    parameters = {name: np.asarray(value) for name, value in file.parameters.items()}
+    parameters = {name: np.asarray(value) for name, value in scene.parameters.items()}
+    others = changed(scene.terms, scene.check_sums)
     return {
         "derjax_version": version("derjax"),
         "jax_version": jax.__version__,
-        "scene_json": json.dumps(file.model_dump(mode="json")),
+        "scene_json": json.dumps(file.content(parameters)),
         "parameter_units": ", ".join(f"{name}: {UNITS[name]}" for name in parameters),
+        **({"changed_terms": ", ".join(others)} if others else {}),
         **parameters,
     }

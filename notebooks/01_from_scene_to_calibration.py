@@ -202,7 +202,7 @@ display(plots.track(trajectory))
 
 # %%
 display(plots.speed(trajectory))
-numbers = summary.summarise(trajectory, file)
+numbers = summary.summarise(trajectory)
 print(f"speed             {1e3 * numbers['v_x_m_per_s']:8.3f} mm/s along x")
 print(f"rate of the head  {numbers['head_rate_rad_per_s']:8.3f} rad/s about its axis")
 print(f"propulsive force  {1e3 * numbers['propulsive_force_N']:8.3f} mN along x")

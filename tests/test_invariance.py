@@ -42,7 +42,7 @@ def stokeslets(solved=FILAMENT, **options) -> StokesletSegments:
 
 ELASTIC = dict(zip(("stretch", "bend", "twist"), elasticity(ROD, ea=100.0), strict=True))
 DRAG = {
-    "head": HeadDrag(jnp.asarray(3.0), jnp.asarray(0.5), jnp.asarray(0.7)),
+    "head": HeadDrag(*(jnp.asarray(x) for x in (3.0, 0.5, 0.7, 0.1))),
     "RFT": ResistiveDrag(jnp.asarray(1.0), jnp.asarray(1.8)),
     "RSS": stokeslets(),
     "RSS, full weight": stokeslets(end_nodes="full"),

@@ -18,8 +18,9 @@ from ..parameters import PLACES
 from ..pytree import Indices, replace
 from ..rod import State
 from ..rollout import Report, new_report
-from ..scene import build, enlarge, touching_pairs
+from ..scene import build, enlarge
 from ..scenefile import Contact, Fluid, Head, InputError, Material, Motor, SceneFile, Time
+from ..shape import touching_pairs
 from ..status import Status
 from ..step import Scene
 
@@ -289,10 +290,10 @@ def _outcome(
             file, scene, pick(states, moved), {"title": "A point of a sweep, by derjax", **status}
         )
     if report.ok and dataset is not None:
-        numbers = summaries.summarise(dataset, file)
+        numbers = summaries.summarise(dataset)
         del numbers["window_s"]
     costs = {
-        "time_s": float(np.round(states.time[-1], trajectory.DIGITS_OF_TIME)),
+        "time_s": float(trajectory.rounded(states.time)[-1]),
         "steps": int(report.steps),
         "rejected_steps": int(report.rejected),
         "newton_iterations": int(report.iterations),

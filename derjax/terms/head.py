@@ -24,12 +24,14 @@ class HeadDrag(Term):
         spin: 8 pi mu r_h^3 C_r, N m s: resistance to turning about the head's line.
         tilt: N m s: resistance to a change of direction of that line. The paper's model of
             one flagellum has none; a head that is a sphere has the same as for spin.
+        radius: r_h, m; the drag has it in it already.
         line: (3,) m, the head's line where drag is taken; None for that at the start of a step.
     """
 
     translation: Float[Array, ""]
     spin: Float[Array, ""]
     tilt: Float[Array, ""]
+    radius: Float[Array, ""]
     line: Float[Array, " 3"] | None = None
 
     def prepared(self, rod: Rod, state: State, outlook: Outlook) -> "HeadDrag":
