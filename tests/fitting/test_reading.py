@@ -1,5 +1,7 @@
 """Tracks as trackers write them: units, axes, frames, objects and gaps."""
 
+import re
+import tomllib
 import warnings
 from pathlib import Path
 
@@ -7,7 +9,9 @@ import numpy as np
 import pytest
 
 from derjax import InputError
+from derjax.commands.new import template
 from derjax.errors import InputWarning
+from fitting.datasetfile import Columns, RunFile
 from fitting.tracks import load_dataset
 
 FRAMES = 14
@@ -194,6 +198,13 @@ def test_a_unit_in_the_header_that_is_another_one(read, unit):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         read(spots(), SPOTS + "track_id = 4\n")
+
+
+def test_the_example_has_every_key():
+    text = template("dataset.toml")
+    run = tomllib.loads(re.sub(r"^# (\w+ = \S)", r"\1", text, flags=re.MULTILINE))["runs"][0]
+    assert set(run) == set(RunFile.model_fields)
+    assert set(run["columns"]) == set(Columns.model_fields)
 
 
 def test_a_track_without_rows(read):
