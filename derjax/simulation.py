@@ -215,10 +215,8 @@ def _advice(options: Options, kept: Path | None) -> str:
     """How to go on with a run whose checkpoint is at `kept`, if it could be written."""
     if kept is None:
         return "There is no room for a checkpoint: what was computed last is lost"
-    resume = f"resume with: {options.command('--resume')}"
-    if kept.parent == options.output:
-        return f"What was computed is in {kept}; {resume}"
-    return f"What was computed is in {kept}; move it to {options.output / CHECKPOINT} and {resume}"
+    there = dataclasses.replace(options, output=kept.parent)
+    return f"What was computed is in {kept}; resume with: {there.command('--resume')}"
 
 
 def _outcome(recording: Recording, advice: str | None) -> dict[str, str]:

@@ -264,11 +264,10 @@ def test_a_checkpoint_finds_another_place(scene, finished, monkeypatch, tmp_path
         assert main(argv) == 2
     said = capsys.readouterr().err
     (kept,) = tmp_path.glob("derjax-*/checkpoint.npz")
-    assert f"{kept}; move it to {out / 'checkpoint.npz'} and resume with: derjax" in said
-    out.mkdir(exist_ok=True)
-    kept.rename(out / "checkpoint.npz")
-    assert main([*argv, "--resume"]) == 0
-    assert_same_trajectory(out, finished / "out")
+    resume = f"derjax simulate {scene} -o {kept.parent} --resume --no-figures"
+    assert f"{kept}; resume with: {resume}" in said
+    assert main(resume.split()[1:]) == 0
+    assert_same_trajectory(kept.parent, finished / "out")
 
 
 def test_interrupted_on_a_full_disk(scene, monkeypatch, tmp_path, capsys):
@@ -278,7 +277,7 @@ def test_interrupted_on_a_full_disk(scene, monkeypatch, tmp_path, capsys):
     interrupt_after(monkeypatch, 0.2)
     assert main(["simulate", str(scene), "-o", str(out), "--no-figures"]) == 130
     (kept,) = tmp_path.glob("derjax-*/checkpoint.npz")
-    assert f"interrupted. What was computed is in {kept}; move it" in capsys.readouterr().err
+    assert f"interrupted. What was computed is in {kept}; resume with: " in capsys.readouterr().err
 
 
 def test_results_that_appear_meanwhile_are_not_replaced(scene, monkeypatch, capsys):

@@ -202,7 +202,8 @@ def test_a_unit_in_the_header_that_is_another_one(read, unit):
 
 def test_the_example_has_every_key():
     text = template("dataset.toml")
-    run = tomllib.loads(re.sub(r"^# (\w+ = \S)", r"\1", text, flags=re.MULTILINE))["runs"][0]
+    _, table = text.split("[[runs]]")
+    run = tomllib.loads(re.sub(r"^# (\w+ = \S)", r"\1", table, flags=re.MULTILINE))
     assert set(run) == set(RunFile.model_fields)
     assert set(run["columns"]) == set(Columns.model_fields)
 
