@@ -1,5 +1,6 @@
 """What motors are told to do: the table [motor] of scene files, and logs of motor controllers."""
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, Self
@@ -8,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from pydantic import model_validator
 
-from .errors import InputError
+from .errors import InputError, InputWarning
 from .fields import TIME_UNITS, Finite, Positive, Table
 from .tables import Numbers, TextTable, read_table, seconds
 
@@ -19,6 +20,9 @@ ROUNDING = 1e-9
 
 HELD = 0.1
 """The largest part of the run for which a log is held at its first or last value."""
+
+MOST_SPARE = 10.0
+"""How many times longer than the run a log may be, in the unit that its times are likely in."""
 
 Times = Float[np.ndarray, " r"]
 Rates = Float[np.ndarray, "r m"]
@@ -135,6 +139,8 @@ def read_motor_table(path: Path, motor: Motor, end: float, n_motors: int = 1) ->
         raise InputError(f"{path}: line {found.lines[bad[0] + 1]}: times must increase")
     if not covers(time, end):
         raise InputError(f"{path}: {_uncovered(motor, found, time, end)}")
+    if motor.time_unit == "s" and not found.is_clock:
+        _check_seconds(path, time, end)
     rpm, lines = found.values[:, 1:], found.lines
     if motor.counts_per_turn is not None:
         if len(time) < 2:
@@ -217,6 +223,19 @@ def _uncovered(motor: Motor, found: Numbers, time: Times, end: float) -> str:
     keys = [f"time_unit = '{best}'"] if best != motor.time_unit else []
     keys += [f"time_offset = {offset:.15g}"] if offset != motor.time_offset else []
     return f"{said}; did you mean [motor] {' and '.join(keys)}?"
+
+
+def _check_seconds(path: Path, time: Times, end: float) -> None:
+    """Warns of times, taken for seconds, of which the run takes up next to nothing."""
+    lasts = float(np.ptp(time))
+    for unit in ("ms", "us"):
+        if (1 - HELD) * end <= lasts * TIME_UNITS[unit] <= MOST_SPARE * end:
+            warnings.warn(
+                f"{path}: the motor table lasts {lasts:g} s, the run {end:g} s; if its times are "
+                f"in {unit}, set [motor] time_unit = '{unit}'",
+                InputWarning,
+                stacklevel=2,
+            )
 
 
 def _rates(

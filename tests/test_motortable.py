@@ -1,5 +1,6 @@
 """Logs of motor controllers: which rates they become, and what is said of those that do not fit."""
 
+import warnings
 from pathlib import Path
 
 import jax
@@ -7,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from derjax.errors import InputError
+from derjax.errors import InputError, InputWarning
 from derjax.motor import Motor as Rates
 from derjax.scenefile import load_scene
 from derjax.sweeps.file import load_sweep
