@@ -127,6 +127,16 @@ def test_keys_of_logs_need_a_table(tmp_path, key):
         load_scene(tmp_path / "scene.toml")
 
 
+def test_milliseconds_that_pass_for_seconds_are_told_of(scene):
+    """A log from 0 on covers the run in either unit, but turns a thousand times too slowly."""
+    with pytest.warns(InputWarning, match=r"lasts 2000 s, the run 1 s; .* time_unit = 'ms'"):
+        scene("", "time,rpm\n0,0\n1000,60\n2000,60\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        scene("", "time,rpm\n0,0\n100,60\n")
+        scene("time_unit = 'ms'\n", "time,rpm\n0,0\n1000,60\n2000,60\n")
+
+
 def test_sweeps_read_logs_alike(scene, tmp_path):
     expected = scene(KEYS + MS).motor_table
     path = tmp_path / "sweep.toml"
