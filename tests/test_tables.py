@@ -72,6 +72,15 @@ ID102,,137.4,1.0
 """
 
 
+def test_words_between_numbers_do_not_mislead(tmp_path):
+    table = table_at(tmp_path / "a.csv", "LABEL;KIND;x\nID1;spot;1,5\nID2;spot;2,5\n")
+    assert table.numbers(["x"]).values.tolist() == [[1.5], [2.5]]
+    table = table_at(tmp_path / "b.csv", "t,Label,x\n0,film;a,1.5\n1,film;b,2.5\n")
+    assert table.numbers(["t", "x"]).values.tolist() == [[0, 1.5], [1, 2.5]]
+    table = table_at(tmp_path / "c.txt", "LABEL\tKIND\tx\nID1\tspot, red\t1,5\n")
+    assert table.numbers(["x"]).values.tolist() == [[1.5]]
+
+
 def test_a_column_goes_by_any_of_its_names(tmp_path):
     table = table_at(tmp_path / "spots.csv", SPOTS)
     assert table.names == ("LABEL", "TRACK_ID", "POSITION_X", "POSITION_T")
