@@ -140,6 +140,7 @@ def test_derivatives_of_a_batch():
         {
             "robot": {"edge_length": 0.03},
             "fluid": {"hydrodynamics": "none"},
+            "head": {"rotation": "full"},  # or else nothing resists its tilt
             "time": {"step": 0.05, "end": 0.1, "scheme": "euler", "inertia": False},
         }
     )
