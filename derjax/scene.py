@@ -35,6 +35,7 @@ from .terms.inertia import Inertia
 from .terms.lagged import Lagged
 from .terms.resistive import ResistiveDrag, gray_hancock, lighthill
 from .terms.spillmann_teschner import SpillmannTeschner
+from .terms.spin import SpinDrag
 from .terms.stokeslets import StokesletSegments
 from .terms.stretch import Stretch
 from .terms.term import Term
@@ -173,6 +174,8 @@ def _terms(
     if fluid.hydrodynamics != "none":
         drag = _stokeslets(scene, p, rod) if fluid.hydrodynamics == "rss" else _resistive(scene, p)
         terms.append(Lagged(drag) if scene.time.scheme == "explicit" else drag)
+    if fluid.spin_drag:
+        terms.append(SpinDrag(4 * jnp.pi * p["viscosity"] * radius**2))
     if pairs is not None and scene.contact_method == "smooth":
         contact = _contact(scene, p, rod, pairs)
         terms.append(contact)
@@ -283,7 +286,11 @@ def _buoyant_mass(scene: SceneFile, p: dict[str, Array], rod: Rod) -> Float[Arra
     mass = _node_length(rod) * area * (p["density"] - p["fluid_density"])
     if rod.topology.head is None:
         return mass
-    head = _head_mass(scene, p) - _head_volume(p) * p["fluid_density"]
+    volume = _head_volume(p)
+    if scene.head.mass is None:  # so written, it is exactly neutral in a fluid as dense
+        head = volume * (p["density"] - p["fluid_density"])
+    else:
+        head = scene.head.mass - volume * p["fluid_density"]
     return mass.at[rod.topology.head.node].set(head)
 
 
