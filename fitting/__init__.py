@@ -5,8 +5,8 @@ dataset file --load_dataset--> Dataset --calibrate--> Fit --write--> fit.json, f
 
 import derjax  # noqa: F401  (switches JAX to 64-bit floating point)
 
-from .calibrate import Fit as Fit
 from .calibrate import calibrate as calibrate
+from .outcome import Fit as Fit
 from .tracks import Dataset as Dataset
 from .tracks import Run as Run
 from .tracks import load_dataset as load_dataset

@@ -1,16 +1,21 @@
 """`derjax fit`: calibrate the parameters of a scene against tracks."""
 
 import argparse
+import shlex
 import sys
 import threading
 import time
 from pathlib import Path
 
 from derjax import InputError
+from derjax.commands.options import add_output, add_quiet
+from derjax.output import Output, output_directory
 
-from .calibrate import Fit, Progress, calibrate
-from .report import table, write
-from .tracks import load_dataset
+from .calibrate import calibrate
+from .outcome import Fit, Progress
+from .report import FIGURE, REPORT, rms, table, write
+from .tracks import Dataset, load_dataset
+from .unfinished import EVALUATIONS, begin, finish, resume
 
 HELP = "Fit drag prefactors, or other parameters, to tracked motions."
 INTERRUPTED = 130
@@ -20,14 +25,7 @@ UNFINISHED = 2
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `derjax fit`."""
     parser.add_argument("dataset", type=Path, metavar="DATASET.toml", help="tracks and scene")
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        metavar="DIR",
-        help="directory for fit.json and fit.png; made if it does not exist",
-    )
+    add_output(parser, resume="continue the unfinished fit in DIR")
     parser.add_argument(
         "--parameters",
         nargs="+",
@@ -43,7 +41,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="where to start (default: the values of the scene)",
     )
     parser.add_argument("--max-iterations", type=int, default=30, metavar="N", help="(default: 30)")
-    parser.add_argument("--overwrite", action="store_true", help="replace an earlier fit")
+    add_quiet(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -51,35 +49,87 @@ def run(args: argparse.Namespace) -> int:
 
     Returns:
         0 if the fit converged, 2 if it did not, 130 if it was interrupted; in all three cases
-        fit.json holds the best parameters found.
+        fit.json holds the best parameters found. What an interrupted fit has simulated is kept,
+        and `--resume` goes on from there.
 
     Raises:
-        InputError: dataset, scene, tracks or arguments are wrong.
+        InputError: dataset, scene, tracks or arguments are wrong, or there are results that must
+            not be overwritten.
         SolverError: the simulation fails with the parameters of the start.
     """
     initial = _start(args.start)
     if args.max_iterations < 1:
         raise InputError(f"--max-iterations {args.max_iterations}: must be at least 1")
-    output: Path = args.output
-    if output.exists() and not output.is_dir():
-        raise InputError(f"{output}: is not a directory")
-    if (output / "fit.json").exists() and not args.overwrite:
-        raise InputError(f"{output / 'fit.json'}: exists already; use --overwrite to replace it")
     dataset = load_dataset(args.dataset)
-    output.mkdir(parents=True, exist_ok=True)
-    frames = sum(run.time.size for run in dataset.runs)
-    print(f"{args.dataset}: {len(dataset.runs)} runs, {frames} frames")
-    printer = _Printer()
-    fit = calibrate(
-        dataset, args.parameters, initial, progress=printer, max_iterations=args.max_iterations
-    )
-    printer.clear()
-    json_path, figure_path = write(fit, output)
-    _print_outcome(fit)
-    print(f"\n{json_path}\n{figure_path}")
-    if fit.status == "interrupted":
+    with output_directory(args.output) as output:
+        _check_output(args, output)
+        identity = begin if not args.resume else resume
+        store = identity(output, dataset, args.parameters, initial)
+        return _fit(args, dataset, initial, output, store)
+
+
+def _fit(
+    args: argparse.Namespace,
+    dataset: Dataset,
+    initial: dict[str, float],
+    output: Output,
+    store: Path,
+) -> int:
+    """`run`, with files and arguments checked, in a directory that can be written to."""
+    if not args.quiet:
+        frames = sum(run.time.size for run in dataset.runs)
+        print(f"{args.dataset}: {len(dataset.runs)} runs, {frames} frames")
+    printer = _Printer(args.quiet)
+    again = f"resume with: {_command(args)} --resume"
+    try:
+        fit = calibrate(
+            dataset,
+            args.parameters,
+            initial,
+            progress=printer,
+            compare=not args.no_figures,
+            max_iterations=args.max_iterations,
+            store=store,
+        )
+    except KeyboardInterrupt:
+        printer.clear()
+        print(f"derjax: interrupted before there was a result; {again}", file=sys.stderr)
         return INTERRUPTED
+    printer.clear()
+    paths = write(fit, output, figures=not args.no_figures)
+    _print_outcome(fit)
+    if not args.quiet:
+        print("\n" + "\n".join(str(path) for path in paths))
+    if fit.status == "interrupted":
+        print(f"derjax: interrupted; {again}", file=sys.stderr)
+        return INTERRUPTED
+    finish(output)
     return 0 if fit.status == "converged" else UNFINISHED
+
+
+def _command(args: argparse.Namespace) -> str:
+    """The command line of these arguments, without those on existing results."""
+    words = ["derjax", "fit", str(args.dataset), "-o", str(args.output)]
+    words += ["--parameters", *args.parameters]
+    words += ["--start", *args.start] * bool(args.start)
+    words += ["--max-iterations", str(args.max_iterations)] * (args.max_iterations != 30)
+    words += ["--no-figures"] * args.no_figures + ["--quiet"] * args.quiet
+    return shlex.join(words)
+
+
+def _check_output(args: argparse.Namespace, output: Output) -> None:
+    """`InputError` if there are results and the options do not say what to do with them."""
+    if args.resume or args.overwrite:
+        return
+    unfinished = output.path / EVALUATIONS
+    if unfinished.exists():
+        raise InputError(
+            f"{unfinished}: here is an unfinished fit: --resume continues it, "
+            "--overwrite starts anew"
+        )
+    for name in (REPORT, FIGURE):
+        if (output.path / name).exists():
+            raise InputError(f"{output.path / name}: exists already; use --overwrite to replace it")
 
 
 def _start(words: list[str]) -> dict[str, float]:
@@ -96,7 +146,8 @@ def _start(words: list[str]) -> dict[str, float]:
 
 
 def _print_outcome(fit: Fit) -> None:
-    print(f"\n{fit.status} after {fit.iterations} iterations, {fit.wall_time:.0f} s\n")
+    simulated = f"{fit.previews} previews and {fit.iterations + 1} whole simulations"
+    print(f"\n{fit.status} after {simulated}, {fit.wall_time:.0f} s\n")
     print(table(fit))
     names = list(fit.estimates)
     if len(names) > 1:
@@ -105,29 +156,25 @@ def _print_outcome(fit: Fit) -> None:
             print(f"{name:<11} " + " ".join(f"{value:8.3f}" for value in row))
     print("\nresiduals (rms)")
     for one in fit.runs:
-        print(f"{one.run.name}: {_rms(one.rms)}")
+        drift = "".join(f", drift along {a} {1e3 * v:.3g} mm/s" for a, v in one.drift.items())
+        print(f"{one.run.name}: {rms(one.rms)}{drift}")
+    if fit.goodness.good and (said := fit.goodness.sentence()):
+        print(f"\n{said}")
     for warning in fit.warnings:
         print(f"\nwarning: {warning}", file=sys.stderr)
-
-
-def _rms(rms: dict[str, float]) -> str:
-    parts = []
-    if "position" in rms:
-        parts.append(f"{1e3 * rms['position']:.4g} mm")
-    if "head_angle" in rms:
-        parts.append(f"{rms['head_angle']:.4g} rad")
-    return ", ".join(parts)
 
 
 class _Printer:
     """Prints a line for every iteration and, on a terminal, how far the current one is."""
 
-    def __init__(self) -> None:
-        self.live = sys.stdout.isatty()
+    def __init__(self, quiet: bool) -> None:
+        self.quiet, self.live = quiet, sys.stdout.isatty() and not quiet
         self.shown = 0.0
         self.lock = threading.Lock()
 
     def __call__(self, progress: Progress) -> None:
+        if self.quiet:
+            return
         with self.lock:
             if progress.latest is not None:
                 self.clear()
@@ -136,8 +183,7 @@ class _Printer:
                 print("compiling ...", flush=True)
             elif self.live and time.monotonic() - self.shown > 0.2:
                 self.shown = time.monotonic()
-                what = "start" if progress.stage == "compare" else progress.stage
-                text = f"{what}: {100 * progress.done:3.0f} %, {_left(progress)}"
+                text = f"{progress.stage}: {100 * progress.done:3.0f} %, {_left(progress)}"
                 print(f"\r{text:<60}", end="", flush=True)
 
     def clear(self) -> None:
@@ -152,8 +198,8 @@ def _line(progress: Progress) -> str:
     values = "  ".join(f"{name} = {value:<9.6g}" for name, value in progress.values.items())
     rejected = "" if latest.accepted else "  (step rejected)"
     return (
-        f"{progress.stage:>6} {progress.iteration:2d}: loss {latest.loss:<10.6g} {values} "
-        f"rms {_rms(latest.rms)}  {_left(progress)}{rejected}"
+        f"{progress.stage:>7} {progress.iteration:2d}: loss {latest.loss:<10.6g} {values} "
+        f"rms {rms(latest.rms)}  {_left(progress)}{rejected}"
     )
 
 

@@ -8,7 +8,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from .uncertainty import Residuals
+from .uncertainty import RANK_TOLERANCE, Residuals, shifted
 
 T = TypeVar("T")
 
@@ -67,6 +67,11 @@ class Optimum(Generic[T]):
     status: str
     history: tuple[Iteration, ...]
 
+    @property
+    def loss(self) -> float:
+        """Of the best parameters; see `Residuals.loss`."""
+        return self.trial.residuals.loss()
+
 
 def minimise(
     evaluate: Callable[[Float[np.ndarray, " p"]], Trial[T] | None],
@@ -79,16 +84,19 @@ def minimise(
 ) -> Optimum[T] | None:
     """Parameters that minimise `Residuals.loss`.
 
-    The damping follows the ratio of actual to predicted gain (Nielsen 1999). Converged is
-    when the next step is short, or would gain less than `gain_tolerance` in log likelihood:
-    1e-3 is a step of 4.5 % of a standard error, a change that nobody could measure.
+    The damping follows the ratio of actual to predicted gain (Nielsen 1999). The search has
+    converged when the gradient has vanished, in variables scaled such that the noise is 1 in all
+    directions: when the part of the residuals that any change of the parameters could explain
+    is worth less than `gain_tolerance` in log likelihood. 1e-3 is a step of 4.5 % of a standard
+    error, a change that nobody could measure.
 
     Args:
         evaluate: the model at a free vector; None where it cannot be computed: such a step is
             rejected.
         start: (p,) free vector.
         max_iterations: accepted and rejected steps.
-        step_tolerance: of the free parameters.
+        step_tolerance: also converged is a search whose next full step, neither damped nor
+            shortened, would change no free parameter by more than this.
         gain_tolerance: of the loss.
         on_iteration: called after every iteration.
 
@@ -122,23 +130,23 @@ def minimise(
     try:
         note(True)
         while True:
-            step, gain = _step(best.residuals, damping)
-            # A step that is short because of the damping is no sign of convergence.
-            full, full_gain = _step(best.residuals, min(damping, 1e-3))
-            if np.abs(full).max() < step_tolerance or full_gain < gain_tolerance:
+            full, explained = _newton(best.residuals)
+            if np.abs(full).max() < step_tolerance or 0.5 * explained < gain_tolerance:
                 return ended("converged")
+            step = damped_step(best.residuals, damping)
             if damping > 1e10 or np.abs(step).max() < 1e-3 * step_tolerance:
                 return ended("stalled")
             if len(history) > max_iterations:
                 return ended("max_iterations")
+            loss = best.residuals.loss()
+            promised = loss - shifted(best.residuals, step).loss()
             trial = evaluate(free + step)
-            actual = -np.inf
-            if trial is not None:
-                actual = best.residuals.loss() - trial.residuals.loss()
+            actual = -np.inf if trial is None else loss - trial.residuals.loss()
             accepted = bool(actual > 0)
             if accepted and trial is not None:
                 free, best = free + step, trial
-                damping *= max(1 / 10, 1 - (2 * min(actual / gain, 1.0) - 1) ** 3)
+                ratio = min(actual / promised, 1.0) if promised > 0 else 1.0
+                damping *= max(1 / 10, 1 - (2 * ratio - 1) ** 3)
                 growth = 2.0
             else:
                 damping *= growth * 2
@@ -148,15 +156,34 @@ def minimise(
         return ended("interrupted")
 
 
-def _step(residuals: Residuals, damping: float) -> tuple[Float[np.ndarray, " p"], float]:
-    """A damped Gauss-Newton step and the gain in loss that the linear model promises."""
+def _newton(residuals: Residuals) -> tuple[Float[np.ndarray, " p"], float]:
+    """The full Gauss-Newton step, and how much of chi^2 the parameters could still explain.
+
+    Directions without any effect on the residuals take no part.
+    """
     r, jacobian = residuals.whitened()
-    gradient = jacobian.T @ r
-    normal = jacobian.T @ jacobian
-    diagonal = np.diag(normal)
+    u, singular, vt = np.linalg.svd(jacobian, full_matrices=False)
+    seen = singular > RANK_TOLERANCE * max(singular[0], np.finfo(float).tiny)
+    shares = u.T[seen] @ r
+    return -vt[seen].T @ (shares / singular[seen]), float(shares @ shares)
+
+
+def damped_step(residuals: Residuals, damping: float = 0.0) -> Float[np.ndarray, " p"]:
+    """(p,): a damped Gauss-Newton step, in which no free parameter goes too far.
+
+    A parameter that hardly matters would be sent far away. What holds it back is a constant
+    that is added to the diagonal, small beside the curvature along parameters that matter, so
+    that these take their full step.
+    """
+    r, jacobian = residuals.whitened()
+    gradient, normal = jacobian.T @ r, jacobian.T @ jacobian
+    largest = max(float(np.diag(normal).max()), np.finfo(float).tiny)
     # A parameter without any effect must not make the matrix singular.
-    floor = max(1e-12 * diagonal.max(), np.finfo(float).tiny)
-    damped = normal + damping * np.diag(np.maximum(diagonal, floor))
-    step = -np.linalg.solve(damped, gradient)
-    step *= min(1.0, LONGEST_STEP / max(np.abs(step).max(), 1e-300))
-    return step, float(-(gradient @ step) - 0.5 * step @ normal @ step)
+    scale = np.maximum(np.diag(normal), 1e-12 * largest)
+    ridge = 0.0
+    while True:
+        matrix = normal + damping * np.diag(scale) + ridge * np.eye(len(normal))
+        step = -np.linalg.lstsq(matrix, gradient, rcond=1e-15)[0]
+        if np.abs(step).max() <= LONGEST_STEP:
+            return step
+        ridge = max(2.0 * ridge, 1e-12 * largest)

@@ -2,12 +2,14 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from derjax import State, Topology
-from derjax.kinematics import head_angle, head_position
+from derjax import State, Topology, angles, positions
+from derjax.kinematics import head_angle, head_of, head_position
+from derjax.rod import material_directors, tangents
 
 CHANNELS = ("x", "y", "z", "head_angle")
 """What can be tracked: position of the head node (m) and angle of the head (rad)."""
@@ -23,6 +25,15 @@ def observations(topology: Topology, states: State) -> Float[Array, "t 4"]:
     """
     position = head_position(topology, states)
     return jnp.concatenate([position, head_angle(topology, states)[:, None]], axis=1)
+
+
+def orientations(topology: Topology, states: State) -> Float[Array, "t 3 3"]:
+    """Rotation matrices of the head: in columns the directions of its first edge and frame."""
+    edge = head_of(topology).edges[0]
+    tangent = jax.vmap(lambda q: tangents(topology, positions(topology, q))[edge])(states.q)
+    angle = angles(topology, states.q)[:, edge]
+    frame = material_directors(states.reference_director[:, edge], tangent, angle)
+    return jnp.stack([tangent, *frame], axis=-1)
 
 
 class Interpolation(NamedTuple):

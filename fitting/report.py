@@ -1,7 +1,9 @@
 """The outcome of a fit for people and programs: a figure, a JSON file, a table."""
 
+import dataclasses
 import json
 import math
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -11,12 +13,15 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from derjax.files import atomic_path
+from derjax.output import Output
 from derjax.scenefile import UNITS
 
-from .calibrate import Fit, RunFit
 from .observe import ANGLE, CHANNELS
+from .outcome import Fit, RunFit
 from .simulate import Simulated
+
+REPORT, FIGURE = "fit.json", "fit.png"
+"""Names of the files."""
 
 TRACK, BEFORE, AFTER = "#444444", "#b8bcc4", "#c8442b"
 AXES = ("#c8442b", "#2f6fb0", "#4b9a4b", "#8a56a8")
@@ -32,6 +37,7 @@ def as_dict(fit: Fit) -> dict[str, Any]:
                 "value": e.value,
                 "std": _finite(e.std),
                 "ci95": [_finite(end) for end in e.ci95],
+                "widened": e.widened,
                 "unit": UNITS.get(name, ""),
                 "start": fit.start[name],
             }
@@ -39,6 +45,17 @@ def as_dict(fit: Fit) -> dict[str, Any]:
         },
         "correlation": {"names": names, "matrix": fit.correlation.tolist()},
         "warnings": list(fit.warnings),
+        "goodness": {
+            "good": fit.goodness.good,
+            "chi2": fit.goodness.chi2,
+            "degrees_of_freedom": fit.goodness.degrees_of_freedom,
+            "p_value": fit.goodness.p_value,
+            "rms_over_robot_length": fit.goodness.relative_rms,
+            "error_bars_inflated_by": fit.goodness.inflation,
+            "order_of_residuals": [dataclasses.asdict(one) for one in fit.goodness.orders],
+        },
+        "likely_causes": [dataclasses.asdict(cause) for cause in fit.causes],
+        "other_optima": [dataclasses.asdict(other) for other in fit.alternatives],
         "loss": fit.loss,
         "loss_history": [iteration.loss for iteration in fit.history],
         "noise": fit.noise,
@@ -50,10 +67,13 @@ def as_dict(fit: Fit) -> dict[str, Any]:
                 "t_end": float(one.run.time[-1]),
                 "rms_position": one.rms.get("position"),
                 "rms_head_angle": one.rms.get("head_angle"),
+                "drift_m_per_s": one.drift,
+                "frames_left_out": one.run.dropped,
             }
             for one in fit.runs
         ],
         "iterations": fit.iterations,
+        "previews": fit.previews,
         "wall_time_s": round(fit.wall_time, 3),
         "dataset": None if fit.dataset.path is None else str(fit.dataset.path),
         "derjax": version("derjax"),
@@ -85,15 +105,26 @@ def table(fit: Fit) -> str:
     return "\n".join(lines)
 
 
-def write(fit: Fit, directory: Path) -> tuple[Path, Path]:
-    """Write fit.json and fit.png into an existing directory; returns their paths."""
-    json_path, figure_path = directory / "fit.json", directory / "fit.png"
-    with atomic_path(json_path) as temporary:
+def rms(of_kinds: Mapping[str, float]) -> str:
+    """Root mean squares of residuals (m, rad) in words."""
+    parts = []
+    if "position" in of_kinds:
+        parts.append(f"{1e3 * of_kinds['position']:.4g} mm")
+    if "head_angle" in of_kinds:
+        parts.append(f"{of_kinds['head_angle']:.4g} rad")
+    return ", ".join(parts)
+
+
+def write(fit: Fit, output: Output, figures: bool = True) -> tuple[Path, ...]:
+    """Write fit.json and, if wanted, fit.png into a directory; returns their paths."""
+    with output.replacing(REPORT) as temporary:
         text = json.dumps(as_dict(fit), indent=2, allow_nan=False)
         temporary.write_text(text + "\n", encoding="utf-8")
-    with atomic_path(figure_path) as temporary:
+    if not figures:
+        return (output.path / REPORT,)
+    with output.replacing(FIGURE) as temporary:
         FigureCanvasAgg(figure(fit)).print_figure(str(temporary), format="png", dpi=150)
-    return json_path, figure_path
+    return output.path / REPORT, output.path / FIGURE
 
 
 def figure(fit: Fit) -> Figure:

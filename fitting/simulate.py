@@ -23,11 +23,13 @@ from jaxtyping import Array, Float
 from derjax import Report, Scene, SceneFile, State, build, rollout
 from derjax.rollout import new_report
 
-from .observe import observations
+from .observe import observations, orientations
+from .screw import Motion
 from .tracks import Run
 from .transforms import Parameters
 
-STEPS_PER_CALL = 200
+STEPS_PER_CALL = 100
+"""Steps between two looks of the host at a run."""
 
 
 @dataclass(frozen=True)
@@ -38,13 +40,29 @@ class Simulated:
         time: (t,) s, from 0.
         observed: (t, 4) the channels of `observe.CHANNELS`: m, m, m, rad.
         sensitivity: (t, 4, p) their derivatives with respect to the free parameters.
+        orientation: (t, 3, 3) of the head; see `observe.orientations`.
+        turning: (t, 3, 3, p) its derivatives.
         report: how the steps went; observations after a failed step mean nothing.
     """
 
     time: Float[np.ndarray, " t"]
     observed: Float[np.ndarray, "t 4"]
     sensitivity: Float[np.ndarray, "t 4 p"]
+    orientation: Float[np.ndarray, "t 3 3"]
+    turning: Float[np.ndarray, "t 3 3 p"]
     report: Report
+
+    @property
+    def motion(self) -> Motion:
+        """The motion without its derivatives."""
+        return Motion(self.observed, self.orientation)
+
+    def moved(self, parameter: int, change: float) -> Motion:
+        """The motion after a small change of one free parameter."""
+        return Motion(
+            self.observed + change * self.sensitivity[..., parameter],
+            self.orientation + change * self.turning[..., parameter],
+        )
 
 
 def build_with(
@@ -72,13 +90,19 @@ def simulate(
     return observations(built.rod.topology, whole), report
 
 
+def _seen(built: Scene, states: State) -> Motion:
+    topology = built.rod.topology
+    seen: Any = observations(topology, states), orientations(topology, states)
+    return Motion(*seen)
+
+
 @partial(jax.jit, static_argnums=(0, 1))
 def _begin(scene: SceneFile, parameters: Parameters, free: Array, rpm: Array) -> Any:
     """State and observation at rest, and their tangents along every free parameter."""
 
     def start(free):
         built, state = build_with(scene, parameters, free, rpm)
-        return state, observations(built.rod.topology, jax.tree.map(lambda x: x[None], state))
+        return state, _seen(built, jax.tree.map(lambda x: x[None], state))
 
     push = jax.vmap(lambda along: jax.jvp(start, (free,), (along,)), out_axes=(None, 0))
     return push(jnp.eye(free.size))
@@ -101,7 +125,7 @@ def _continue(
         built, _ = build_with(scene, parameters, free, rpm)
         states, new = rollout(built, state, n_steps, 1, report)
         last = jax.tree.map(lambda x: x[-1], states)
-        return (last, observations(built.rod.topology, states)), new
+        return (last, _seen(built, states)), new
 
     def push(along, tangent):
         primal, moved, new = jax.jvp(go_on, (free, state), (along, tangent), has_aux=True)
@@ -138,8 +162,9 @@ class Simulator:
         rpm: Array,
         n_steps: int,
         on_steps: Callable[[int], None] = lambda steps: None,
+        enough: Callable[[Motion], bool] = lambda motion: False,
     ) -> Simulated:
-        """At least `n_steps` steps (fewer after a failed one).
+        """At least `n_steps` steps (fewer after a failed one, and when there is `enough`).
 
         Args:
             free: (p,) free parameters.
@@ -147,24 +172,30 @@ class Simulator:
             n_steps: steps wanted.
             on_steps: called with the number of steps after every call of the program; may
                 raise to stop the simulation.
+            enough: asked after every call of the program with the motion so far.
         """
         z = jnp.asarray(free)
-        (state, first), (tangents, d_first) = _begin(self.scene, self.parameters, z, rpm)
-        observed, sensitivity = [np.asarray(first)], [np.asarray(d_first)]
+        (state, seen), (tangents, d_seen) = _begin(self.scene, self.parameters, z, rpm)
+        seen_so_far, moved_so_far = [jax.device_get(seen)], [jax.device_get(d_seen)]
         report = new_report()
         done = 0
         while done < n_steps and report.ok:
             ((state, seen), report), (tangents, d_seen) = _continue(
                 self.scene, self.parameters, self.steps_per_call, z, rpm, state, tangents, report
             )
-            observed.append(np.asarray(seen))
-            sensitivity.append(np.asarray(d_seen))
+            seen_so_far.append(jax.device_get(seen))
+            moved_so_far.append(jax.device_get(d_seen))
             done += self.steps_per_call
             on_steps(self.steps_per_call)
+            if enough(_joined(seen_so_far, 0)):
+                break
+        motion, moved = _joined(seen_so_far, 0), _joined(moved_so_far, 1)
         return Simulated(
             time=self.scene.step * np.arange(done + 1),
-            observed=np.concatenate(observed),
-            sensitivity=np.moveaxis(np.concatenate(sensitivity, axis=1), 0, -1),
+            observed=motion.observed,
+            sensitivity=np.moveaxis(moved.observed, 0, -1),
+            orientation=motion.orientation,
+            turning=np.moveaxis(moved.orientation, 0, -1),
             report=report,
         )
 
@@ -174,31 +205,39 @@ class Simulator:
         rates: Sequence[Array],
         n_steps: Sequence[int],
         on_steps: Callable[[int], None] = lambda steps: None,
+        enough: Sequence[Callable[[Motion], bool]] | None = None,
     ) -> list[Simulated]:
-        """Several runs at once, one on each processor.
+        """Several runs at once, one on each processor; arguments as of `run`.
 
         Raises:
             KeyboardInterrupt: after the other runs have been stopped as well.
         """
-        stop = threading.Event()
+        stop_all = threading.Event()
+        if enough is None:
+            enough = [lambda motion: False] * len(rates)
 
         def checked(steps: int) -> None:
-            if stop.is_set():
+            if stop_all.is_set():
                 raise Cancelled
             on_steps(steps)
 
         with ThreadPoolExecutor(min(len(rates), _processors())) as pool:
             futures = [
-                pool.submit(self.run, free, rate, n, checked)
-                for rate, n in zip(rates, n_steps, strict=True)
+                pool.submit(self.run, free, rate, n, checked, stop)
+                for rate, n, stop in zip(rates, n_steps, enough, strict=True)
             ]
             try:
                 return [future.result() for future in futures]
             except BaseException:
-                stop.set()
+                stop_all.set()
                 for future in futures:
                     future.cancel()
                 raise
+
+
+def _joined(pieces: Sequence[Motion], axis: int) -> Motion:
+    """Pieces of a motion in a row; `axis` is that of time."""
+    return Motion(*(np.concatenate(parts, axis) for parts in zip(*pieces, strict=True)))
 
 
 def steps_per_call(longest: int) -> int:

@@ -31,7 +31,7 @@ class Residuals:
         kind: (m,) index into `KINDS`.
         sigma: (m,) m or rad, the noise; NaN where it is to be estimated.
         resolution: (m,) m or rad, far below any noise; the smallest that is estimated.
-        origins: number of coordinates that were made relative to the mean of their run.
+        origins: number of origins and drifts of coordinates that were fitted beforehand.
     """
 
     value: Float[np.ndarray, " m"]
@@ -42,9 +42,14 @@ class Residuals:
     origins: int = 0
 
     @property
+    def degrees_lost(self) -> int:
+        """How many numbers were fitted: parameters, origins and drifts."""
+        return self.jacobian.shape[1] + self.origins
+
+    @property
     def degrees_of_freedom(self) -> int:
         """Observations less what was fitted to them; at least one."""
-        return max(1, self.value.size - self.jacobian.shape[1] - self.origins)
+        return max(1, self.value.size - self.degrees_lost)
 
     @property
     def noise_given(self) -> bool:

@@ -1,0 +1,228 @@
+"""What follows from a search for parameters: values, errors, and all that speaks against them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from .causes import Cause
+from .explore import NEARLY, Exploration
+from .goodness import Goodness, goodness
+from .levenberg import Optimum
+from .model import Model, predict
+from .outcome import Alternative, Estimate, Fit, RunFit
+from .residuals import fitted_drift, run_residuals
+from .simulate import Simulated
+from .tracks import robot_length
+from .uncertainty import Uncertainty, uncertainty
+
+Free = Float[np.ndarray, " p"]
+
+LARGEST_PREFACTOR = 30.0
+"""Prefactors of drag beyond this, or below its inverse, say that something else is wrong."""
+
+
+def judge(model: Model, best: Optimum[list[Simulated]]) -> Goodness:
+    """What the residuals at the best fit say of it."""
+    runs = model.dataset.runs
+    values = [
+        run_residuals(run, predict(run, one, model.step, period)).value.reshape(run.values.shape)
+        for run, one, period in zip(runs, best.trial.model, model.periods, strict=True)
+    ]
+    return goodness(best.trial.residuals, runs, values, robot_length(model.dataset.scene))
+
+
+def unlikely(values: Mapping[str, float]) -> list[str]:
+    """Sentences on prefactors of drag that no head has; that of a sphere in free fluid is 1."""
+    return [
+        f"{name} = {values[name]:.4g} would be the drag of a head far "
+        f"{'larger' if values[name] > 1 else 'smaller'} than a ball of head_radius: are "
+        "length_unit, pixel_size, time_unit and viscosity right?"
+        for name in ("C_t", "C_r")
+        if name in values and not 1 / LARGEST_PREFACTOR < values[name] < LARGEST_PREFACTOR
+    ]
+
+
+@dataclass(frozen=True)
+class Conclusion:
+    """All that is known at the end of a calibration.
+
+    Attributes:
+        model: of the fit.
+        exploration: the search for optima; None if there was none.
+        optima: of whole simulations, best first.
+        goodness: of the best.
+        causes: of a bad fit.
+    """
+
+    model: Model
+    exploration: Exploration | None
+    optima: tuple[Optimum[list[Simulated]], ...]
+    goodness: Goodness
+    causes: tuple[Cause, ...]
+
+    @property
+    def best(self) -> Optimum[list[Simulated]]:
+        return self.optima[0]
+
+    @property
+    def alternatives(self) -> tuple[Alternative, ...]:
+        """The other optima that fit nearly as well."""
+        return tuple(
+            Alternative(self.model.values(o.free), o.loss - self.best.loss)
+            for o in self.optima[1:]
+            if o.loss <= self.best.loss + NEARLY
+        )
+
+    def fit(
+        self,
+        start: dict[str, float],
+        before: list[Simulated] | None,
+        previews: int,
+        wall_time: float,
+    ) -> Fit:
+        """The outcome."""
+        residuals = self.best.trial.residuals
+        known = self.known()
+        estimates = self.estimates(known)
+        return Fit(
+            status=self.best.status,
+            estimates=estimates,
+            correlation=known.correlation,
+            goodness=self.goodness,
+            causes=self.causes,
+            alternatives=self.alternatives,
+            warnings=tuple(self.warnings(known, estimates)),
+            loss=self.best.loss,
+            noise=residuals.by_kind(residuals.variances()),
+            start=start,
+            history=self.best.history,
+            iterations=len(self.best.history) - 1,
+            previews=previews,
+            runs=tuple(self.runs(before)),
+            dataset=self.model.dataset,
+            wall_time=wall_time,
+        )
+
+    @property
+    def held(self) -> np.ndarray:
+        """(p,) which parameters were held at their start."""
+        count = len(self.best.free)
+        return (
+            np.zeros(count, bool) if self.exploration is None else np.array(self.exploration.held)
+        )
+
+    def known(self) -> Uncertainty:
+        """Errors of the parameters that were fitted; infinite for those that were held.
+
+        That the held ones may be off by a factor of five either way is part of the errors.
+        """
+        names, held = np.array(self.model.parameters.names), self.held
+        residuals = self.best.trial.residuals
+        fitted = replace(residuals, jacobian=residuals.jacobian[:, ~held])
+        known = uncertainty(fitted, names[~held].tolist())
+        if not held.any():
+            return known
+        assert self.exploration is not None
+        std, correlation = np.full(len(held), np.inf), np.eye(len(held))
+        std[~held] = np.hypot(known.std, self.exploration.spread[~held] / 2)
+        correlation[np.ix_(~held, ~held)] = known.correlation
+        return Uncertainty(std, known.quantile, correlation, known.warnings)
+
+    def estimates(self, known: Uncertainty) -> dict[str, Estimate]:
+        """Values, errors and intervals, as wide as other values fit about as well."""
+        free, parameters = self.best.free, self.model.parameters
+        std = self.goodness.inflation * known.std
+        low, high = free - known.quantile * std, free + known.quantile * std
+        lowest, highest, unbounded = self._reached(known.quantile)
+        wider = (lowest < low) | (highest > high)
+        low, high = np.minimum(low, lowest), np.maximum(high, highest)
+        std = np.where(
+            wider, np.maximum(std, np.maximum(high - free, free - low) / known.quantile), std
+        )
+        std = np.where(unbounded, np.inf, std)
+        with np.errstate(over="ignore"):
+            ends = [self.model.values(end) for end in (low, high)]
+        slopes = parameters.slopes(free)
+        values = self.model.values(free)
+        return {
+            name: Estimate(
+                values[name],
+                float(slopes[i] * std[i]),
+                (ends[0][name], ends[1][name]),
+                bool(wider[i] or unbounded[i]),
+            )
+            for i, name in enumerate(parameters.names)
+        }
+
+    def _reached(self, quantile: float) -> tuple[Free, Free, np.ndarray]:
+        """Ends of what fits about as well as the best, and whether a walk ended before it did."""
+        free = self.best.free
+        inside = [o.free for o in self.optima if o.loss <= self.best.loss + NEARLY]
+        unbounded = np.zeros(len(free), bool)
+        if self.exploration is not None:
+            accepted = self.exploration.accepted(0.5 * quantile**2)
+            inside += accepted
+            for k in np.flatnonzero(self.exploration.walked):
+                if len(accepted):
+                    reached = np.array([point[k] for point in accepted])
+                    low, high = self.exploration.limits[k]
+                    unbounded[k] = reached.min() < low + 0.1 or reached.max() > high - 0.1
+        return np.min(inside, axis=0), np.max(inside, axis=0), unbounded
+
+    def warnings(self, known: Uncertainty, estimates: dict[str, Estimate]) -> list[str]:
+        """Sentences on all that speaks against taking the estimates as they stand."""
+        said = [] if self.goodness.good else [self.goodness.sentence() + "."]
+        said += unlikely({name: e.value for name, e in estimates.items() if np.isfinite(e.std)})
+        said += [f"Likely cause: {cause.sentence}." for cause in self.causes]
+        if said:
+            said.append("The error bars above assume that the model is right; do not rely on them.")
+        for other in self.alternatives:
+            values = ", ".join(f"{name} = {value:.4g}" for name, value in other.values.items())
+            said.append(
+                f"{values} fits nearly as well (loss higher by {other.excess:.2g}): the tracks "
+                "hardly decide between the two."
+            )
+        for name, held in zip(self.model.parameters.names, self.held, strict=True):
+            if held:
+                said.append(
+                    f"{name} hardly matters for these tracks: it was held at its start, "
+                    f"{estimates[name].value:.4g}. What a factor of five of it does to the others "
+                    "is part of their errors."
+                )
+        for name, estimate in estimates.items():
+            if not estimate.widened:
+                continue
+            low, high = estimate.ci95
+            if np.isinf(estimate.std):
+                said.append(
+                    f"{name} is not determined by these data: values from {low:.3g} to {high:.3g} "
+                    "and beyond fit about as well."
+                )
+            else:
+                said.append(
+                    f"The interval of {name} holds all values that fit about as well, {low:.4g} to "
+                    f"{high:.4g}; the curvature at the optimum alone would make it narrower."
+                )
+        return [*said, *known.warnings]
+
+    def runs(self, before: list[Simulated] | None) -> list[RunFit]:
+        """What has become of every run."""
+        model, fits = self.model, []
+        for i, (run, after) in enumerate(
+            zip(model.dataset.runs, self.best.trial.model, strict=True)
+        ):
+            predicted = predict(run, after, model.step, model.periods[i])
+            own = run_residuals(run, predicted)
+            fits.append(
+                RunFit(
+                    run,
+                    None if before is None else before[i],
+                    after,
+                    own.value.reshape(run.values.shape),
+                    own.rms(),
+                    fitted_drift(run, predicted),
+                )
+            )
+        return fits
