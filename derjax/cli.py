@@ -13,9 +13,12 @@ or by SIGTERM.
 
 import argparse
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
 from importlib.metadata import EntryPoint, entry_points, version
+from typing import Any
 
+from .errors import InputWarning
 from .progress import terminated_like_interrupted
 from .runtime import enable_compilation_cache, use_one_blas_thread
 from .scenefile import InputError
@@ -41,7 +44,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         args = _parser(commands, argv).parse_args(argv)
         enable_compilation_cache()
         use_one_blas_thread()
-        with terminated_like_interrupted():
+        with terminated_like_interrupted(), warnings.catch_warnings():
+            warnings.simplefilter("always", InputWarning)
+            warnings.showwarning = _shown_once(warnings.showwarning)
             return args.run(args)
     except (InputError, SolverError, OSError) as error:
         print(f"derjax: error: {error}", file=sys.stderr)
@@ -49,6 +54,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("derjax: interrupted", file=sys.stderr)
         return INTERRUPTED
+
+
+def _shown_once(otherwise: Callable[..., None]) -> Callable[..., None]:
+    """What shows warnings: those about input as messages on stderr, each once."""
+    shown: set[str] = set()
+
+    def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+        if not issubclass(category, InputWarning):
+            otherwise(message, category, *place, **more)
+        elif str(message) not in shown:
+            shown.add(str(message))
+            print(f"derjax: warning: {message}", file=sys.stderr)
+
+    return show
 
 
 def _parser(commands: dict[str, EntryPoint], argv: Sequence[str]) -> argparse.ArgumentParser:

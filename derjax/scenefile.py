@@ -6,6 +6,7 @@ is not given has the value of the paper's table (Lim, Yadunandan & Jawed, Soft M
 """
 
 import tomllib
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -14,7 +15,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from .defaults import REGULARIZATION, SLIP, completed
-from .errors import InputError
+from .effects import idle_keys
+from .errors import InputError, InputWarning
 from .fields import Count, Finite, NonNegative, Positive, Switch, Table
 from .messages import check, checked
 from .motortable import Motor, MotorTable, read_motor_table
@@ -68,6 +70,7 @@ class Robot(Table):
     separation: Positive = USUAL_LENGTHS["separation"]
     handedness: Handedness | tuple[Handedness, ...] = "left"
     phase: Finite | tuple[Finite, ...] = 0.0
+    clamped_tip: Switch = False
 
     @property
     def count(self) -> int:
@@ -118,6 +121,11 @@ class Robot(Table):
             raise ValueError(
                 f"separation = {self.separation:g}: the flagella overlap; their axes must be more "
                 f"than the rod's diameter of {2 * self.rod_radius:g} m apart"
+            )
+        if self.clamped_tip and self.kind != "clamped":
+            raise ValueError(
+                f"clamped_tip = true: is for kind = 'clamped', whose filaments are held at their "
+                f"bases; this robot is of kind {self.kind!r}"
             )
         if self.bend and self.shape != "arc":
             raise ValueError(f"bend = {self.bend:g}: is only for shape = 'arc'")
@@ -173,6 +181,8 @@ class Fluid(Table):
 
     The regularization (m) is by default 1.04 rod radii (`defaults.REGULARIZATION`): the paper's
     table prints a tenth of that, which contradicts the buckling thresholds of the same paper.
+    `spin_drag` says whether rods that spin about their own axis meet drag, which they do not in
+    the paper's model.
     """
 
     viscosity: Positive = 1.0
@@ -183,6 +193,13 @@ class Fluid(Table):
     end_nodes: Literal["half", "full"] = "half"
     drag_matrix: Literal["symmetric", "collocation", "lower_triangle"] = "symmetric"
     head_nodes: Literal["excluded", "dropped"] | None = None
+    spin_drag: Switch = False
+
+    @model_validator(mode="after")
+    def _wet(self) -> Self:
+        if self.spin_drag and self.hydrodynamics == "none":
+            raise ValueError("spin_drag = true: is of a fluid; hydrodynamics = 'none' has none")
+        return self
 
 
 class Head(Table):
@@ -555,12 +572,18 @@ def _put(content: dict[str, Any], name: str, number: Any) -> None:
 def load_scene(path: str | Path) -> SceneFile:
     """Read and check a scene file.
 
+    Warns with an `InputWarning` for every key that has no effect (see `effects`).
+
     Raises:
         InputError: the file is missing, is not TOML, or has an unknown key or a value that
             cannot be; the message names file and key.
     """
     path = Path(path)
-    return with_motor_table(check(SceneFile, read_toml(path), path), path)
+    content = read_toml(path)
+    scene = with_motor_table(check(SceneFile, content, path), path)
+    for sentence in idle_keys(scene, content).values():
+        warnings.warn(f"{path}: {sentence}", InputWarning, stacklevel=2)
+    return scene
 
 
 def with_motor_table(scene: SceneFile, path: Path) -> SceneFile:

@@ -10,9 +10,11 @@ Keys of `[vary]` are the parameters of the scene (`SceneFile.parameters`), or an
 file by table and name, such as `"robot.n_flagella"`.
 """
 
+import contextlib
 import difflib
 import itertools
 import math
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +23,8 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, Field, create_model
 
+from ..effects import idle_keys
+from ..errors import InputWarning
 from ..parameters import PLACES
 from ..scenefile import (
     Count,
@@ -30,12 +34,14 @@ from ..scenefile import (
     Switch,
     Table,
     check,
-    load_scene,
     read_toml,
     with_motor_table,
 )
 
 MOST_POINTS = 1_000_000
+
+LOOKED_AT = 16
+"""Points at which it is seen whether keys have an effect."""
 
 Range = create_model(
     "Range",
@@ -101,17 +107,23 @@ class Sweep:
         Raises:
             InputError: the values do not make a scene.
         """
+        content = self.content(number)
+        return with_motor_table(check(SceneFile, content, self.scene_path), self.scene_path)
+
+    def content(self, number: int) -> dict[str, Any]:
+        """The tables of the scene file of a point."""
         content = {k: dict(v) if isinstance(v, Mapping) else v for k, v in self.scene.items()}
         for key, value in zip(self.keys, self.points[number], strict=True):
             table, name = key.split(".")
             content.setdefault(table, {})[name] = value
-        return with_motor_table(check(SceneFile, content, self.scene_path), self.scene_path)
+        return content
 
 
 def load_sweep(path: str | Path) -> Sweep:
     """Read and check a sweep file and its scene.
 
-    Whether each point makes a scene is found when it is asked for.
+    Whether each point makes a scene is found when it is asked for. Warns with an `InputWarning` for
+    keys that have no effect at any point that is looked at.
 
     Raises:
         InputError: one of the files is missing or wrong; the message names file and key.
@@ -120,7 +132,8 @@ def load_sweep(path: str | Path) -> Sweep:
     table = check(SweepTable, read_toml(path), path)
     scene_path = path.parent / table.scene
     try:
-        scene = load_scene(scene_path)
+        content = read_toml(scene_path)
+        scene = with_motor_table(check(SceneFile, content, scene_path), scene_path)
     except InputError as error:
         raise InputError(f"{path}: scene = {table.scene!r}: {error}") from None
     vary = _flat(table.vary)
@@ -129,16 +142,35 @@ def load_sweep(path: str | Path) -> Sweep:
         twice = next(k for k in keys if keys.count(k) > 1)
         raise InputError(f"{path}: [vary]: {twice} is given twice, by two names")
     values = {name: _values(path, name, given) for name, given in vary.items()}
-    return Sweep(
+    sweep = Sweep(
         path=path,
         scene_path=scene_path,
-        scene=read_toml(scene_path),
+        scene=content,
         names=tuple(vary),
         keys=keys,
         points=tuple(_points(path, table.mode, values)),
         mode=table.mode,
         trajectories=table.trajectories,
     )
+    for sentence in _idle(sweep):
+        warnings.warn(sentence, InputWarning, stacklevel=2)
+    return sweep
+
+
+def _idle(sweep: Sweep) -> list[str]:
+    """What to say about keys that have no effect at some points, or at all if there are few."""
+    found: list[dict[str, str]] = []
+    for number in range(0, len(sweep.points), -(-len(sweep.points) // LOOKED_AT)):
+        with warnings.catch_warnings(), contextlib.suppress(InputError):
+            warnings.simplefilter("ignore", InputWarning)
+            found.append(idle_keys(sweep.file(number), sweep.content(number)))
+    if not found:
+        return []
+    return [
+        f"{sweep.path if name in sweep.keys else sweep.scene_path}: {sentence}"
+        for name, sentence in found[0].items()
+        if all(name in others for others in found)
+    ]
 
 
 def _flat(vary: Mapping[str, Any]) -> dict[str, Any]:
