@@ -32,7 +32,7 @@ from derjax.pytree import Indices, pytree, replace
 from derjax.rod import Rod, State
 from derjax.status import Status
 from derjax.step import Scene
-from derjax.terms import Interval, Lagged, Term
+from derjax.terms import Interval, Lagged, SpillmannTeschner, Term
 from derjax.terms.block_stokeslets import BlockStokeslets
 
 BLOCK = 4
@@ -275,3 +275,14 @@ def test_a_linear_system_that_is_not_solved_is_no_solution(rng):
 
 def test_mobility_stands_beside_the_contributions():
     assert not issubclass(Mobility, Contribution)
+
+
+@pytest.mark.parametrize("count", [0, 2])
+def test_forces_of_one_term_are_corrected_try_by_try(count):
+    robot = {"kind": "two_flagella", "edge_length": 0.03}
+    contact = {"method": "spillmann_teschner"}
+    scene, state = build(SceneFile.model_validate({"robot": robot, "contact": contact}))
+    (found,) = (t for t in scene.terms if isinstance(t, SpillmannTeschner))
+    others = tuple(t for t in scene.terms if t is not found)
+    with pytest.raises(ValueError, match=f"the scene has {count}"):
+        trace(replace(scene, terms=(*others, *[found] * count)), state)

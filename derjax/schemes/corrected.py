@@ -17,10 +17,17 @@ def corrected(scene: Scene, state: State, length: Array) -> Step:
 
     It ends when nothing overlaps, or after the term's number of tries; the overlap that is
     left then is not an error. Differentiable in forward mode only.
+
+    Raises:
+        ValueError: the scene has no such term, or several.
     """
-    place = next(k for k, t in enumerate(scene.terms) if isinstance(t, SpillmannTeschner))
-    contact = scene.terms[place]
-    assert isinstance(contact, SpillmannTeschner)
+    found = [(k, t) for k, t in enumerate(scene.terms) if isinstance(t, SpillmannTeschner)]
+    if len(found) != 1:
+        raise ValueError(
+            f"this scheme corrects the forces of one term SpillmannTeschner, the scene has "
+            f"{len(found)}"
+        )
+    ((place, contact),) = found
 
     def attempt(force):
         terms = list(scene.terms)
