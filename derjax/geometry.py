@@ -49,6 +49,16 @@ def parallel_transport(u: Vector, start: Vector, end: Vector) -> Vector:
     return c[..., None] * u + cross(b, u) + b * (dot(b, u) / (1.0 + c))[..., None]
 
 
+def holonomy(before: Vector, tangent: Vector) -> Vector:
+    """The turn (rad) about `tangent`, per change of it, of a frame transported from `before`.
+
+    A frame that is transported by the smallest rotation from the unit vector `before` to each
+    place of a tangent that moves on turns by this, times the change of the unit vector `tangent`,
+    against one that comes along without turning about it.
+    """
+    return cross(tangent, before) / (1.0 + dot(before, tangent))[..., None]
+
+
 def signed_angle(u: Vector, v: Vector, axis: Vector) -> Scalar:
     """Angle in (-pi, pi] by which `u` turns about the unit vector `axis` to reach `v`."""
     return jnp.arctan2(dot(axis, cross(u, v)), dot(u, v))

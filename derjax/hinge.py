@@ -38,7 +38,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .geometry import cross, dot, parallel_transport
+from .geometry import cross, dot, holonomy, parallel_transport
 from .potential import Sum
 from .pytree import pytree
 from .rod import Rod, State, hinge_tangents, positions
@@ -155,8 +155,8 @@ def strains(
 def _turning(edges: _Edges, old_tangent: Float[Array, "2 3"]) -> Float[Array, "2 4 3"]:
     """W^T of both edges: from a moment to the force on (edge vector, angle)."""
     t = edges.frame[:, :, 2]
-    holonomy = cross(t, old_tangent) / (1.0 + dot(old_tangent, t))[:, None]
-    force = (holonomy[:, :, None] * t[:, None, :] - _skew(t)) / edges.length[:, None, None]
+    turn = holonomy(old_tangent, t)
+    force = (turn[:, :, None] * t[:, None, :] - _skew(t)) / edges.length[:, None, None]
     return jnp.concatenate([force, t[:, None, :]], axis=1)
 
 
@@ -168,12 +168,12 @@ def _change_of_turning(
     inverse = 1.0 / edges.length
     weight = 1.0 / (1.0 + dot(a, t))
     axial = dot(moment, t)
-    holonomy = cross(t, a) * weight[:, None]
-    force = cross(moment, t) + axial[:, None] * holonomy
+    turn = holonomy(a, t)
+    force = cross(moment, t) + axial[:, None] * turn
     # d force / d t, then d t / d e = (1 - t t) / |e|, then the 1 / |e| of the force itself.
     by_tangent = (
         _skew(moment)
-        + holonomy[:, :, None] * (moment - (axial * weight)[:, None] * a)[:, None, :]
+        + turn[:, :, None] * (moment - (axial * weight)[:, None] * a)[:, None, :]
         - (axial * weight)[:, None, None] * _skew(a)
     )
     along = (by_tangent @ t[:, :, None])[:, :, 0] + force

@@ -82,6 +82,11 @@ class Topology:
         return np.array(self.hinges, dtype=np.int32).reshape(-1, 2)
 
     @cached_property
+    def held_edges(self) -> np.ndarray:
+        """(e,): which edges have both their nodes held in place."""
+        return np.all(np.isin(self.edge_stencil.array, self.clamped), axis=1)
+
+    @cached_property
     def _hinge_layout(self) -> tuple[np.ndarray, np.ndarray]:
         nodes, signs = [], []
         for first, second in self.hinges:
@@ -141,7 +146,7 @@ class Rod:
     Attributes:
         topology: what is joined to what.
         rest_length: (e,) m.
-        hinge_length: (b,) m, the length of rod that a hinge stands for.
+        hinge_length: (b,) m, the length of rod that bends and twists at a hinge.
         natural_curvature: (b, 2) integrated curvature of the stress-free shape, dimensionless.
         natural_twist: (b,) integrated twist of the stress-free shape, rad.
     """
@@ -308,6 +313,16 @@ def material_directors(
     return c * director + s * second, c * second - s * director
 
 
+def hinge_lengths(topology: Topology, length: Float[Array, " e"]) -> Float[Array, " b"]:
+    """The length of rod (m) that bends and twists at each hinge: half of its edges (m).
+
+    An edge that is held is part of what holds it. A hinge between two of them cannot bend.
+    """
+    bends = np.where(topology.held_edges, 0.0, 1.0)[topology.hinge_edges]
+    bends[~bends.any(axis=1)] = 1.0
+    return 0.5 * jnp.sum(bends * length[topology.hinge_edges], axis=1)
+
+
 def at_rest(topology: Topology, nodes: Float[Array, "n 3"]) -> tuple[Rod, State]:
     """A rod whose stress-free shape is `nodes` (m), and its state at rest in that shape.
 
@@ -327,7 +342,7 @@ def at_rest(topology: Topology, nodes: Float[Array, "n 3"]) -> tuple[Rod, State]
     rod = Rod(
         topology=topology,
         rest_length=length,
-        hinge_length=0.5 * (length[first] + length[second]),
+        hinge_length=hinge_lengths(topology, length),
         natural_curvature=kappa,
         natural_twist=m_ref,
     )

@@ -47,7 +47,9 @@ def body_of(scene: SceneFile, p: Mapping[str, Array]) -> Body:
     if robot.kind == "two_flagella":
         return two_flagella((filaments[0], filaments[1]), edge, p["separation"])
     separation = p.get("separation", jnp.zeros(()))
-    return {"branched": branched, "clamped": clamped}[robot.kind](filaments, edge, separation)
+    if robot.kind == "clamped":
+        return clamped(filaments, edge, separation, robot.clamped_tip)
+    return branched(filaments, edge, separation)
 
 
 def _filaments(scene: SceneFile, p: Mapping[str, Array]) -> tuple[list[Array], Array]:

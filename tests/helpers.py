@@ -36,15 +36,12 @@ def straight_rod(n_edges: int) -> tuple[Rod, State]:
 def cantilever(n_edges: int) -> tuple[Rod, State, tuple[int, ...]]:
     """A straight rod along x that sticks out of a wall at x = 0 by its unit length.
 
-    Also what the wall holds: the first edge. An edge held in place is half rod, half wall:
-    the first hinge stands for the length of rod from the middle of that edge on, so the wall
-    is at its middle.
+    Also what the wall holds: the first edge, which comes before the `n_edges` that stick out.
     """
-    edge = 1.0 / (n_edges - 0.5)
-    nodes = np.zeros((n_edges + 1, 3))
-    nodes[:, 0] = edge * (np.arange(n_edges + 1) - 0.5)
-    rod, state = rest(chain(n_edges + 1), nodes)
-    return rod, state, held_dofs(rod.topology, (0, 1), (0,))
+    nodes = np.zeros((n_edges + 2, 3))
+    nodes[:, 0] = (np.arange(n_edges + 2) - 1.0) / n_edges
+    held = held_dofs(chain(n_edges + 2), (0, 1), (0,))
+    return *rest(chain(n_edges + 2, clamped=held), nodes), held
 
 
 def held_dofs(topology: Topology, nodes: Sequence[int], edges: Sequence[int]) -> tuple[int, ...]:

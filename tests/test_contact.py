@@ -433,7 +433,7 @@ def test_pressed_rods_overlap_as_the_law_says(load):
 
 @pytest.mark.parametrize("approach", [0.006, 0.03, 0.06])
 def test_crossed_beams_pressed_by_an_approach(approach):
-    """Clamped at both ends: F / (192 EI / L^3) twice, in series with the contact."""
+    """Clamped at both ends: two beams that give way, in series with the contact."""
     stiffness, start = 3e3, approach * DIAMETER
     scene, state = scene_of(
         CLAMPED, placed(DIAMETER - start), stiffness=stiffness, ei=1.0, ea=100.0
@@ -447,9 +447,9 @@ def test_crossed_beams_pressed_by_an_approach(approach):
     unit = np.zeros(FREE.n_dofs)
     unit[3 * FIRST[[N // 2, N // 2 + 1]] + 2] = 0.5
     yielding = unit[free] @ np.linalg.solve(matrix, unit[free])
-    length = (N - 1) / N  # between the middles of the clamped edges
-    # four hinges see the moment halfway between its ends and its zeros: 3/4 of its mean square
-    assert yielding == pytest.approx(0.75 * length**3 / 192, rel=1e-3)
+    length = (N - 2) / N  # between the clamped edges
+    # moments of 1/9 L at the walls and 1/18 L at the loads, in hinges of L/6 and L/3
+    assert yielding == pytest.approx(length**3 / 162, rel=1e-3)
     assert 2 * yielding * push + inverse(push, stiffness) == pytest.approx(start, rel=1e-3)
 
 

@@ -11,18 +11,22 @@ from ..rod import Topology
 from .body import Body, Nodes, around, distance_from_axis, mounted
 
 
-def clamped(filaments: Sequence[Nodes], edge: Array, separation: Array) -> Body:
+def clamped(filaments: Sequence[Nodes], edge: Array, separation: Array, tips: bool = False) -> Body:
     """Filaments whose bases are held in place and turned about their own axes.
 
     They lie around the x axis as those of the robot `branched`. The first edge of each, from
-    the origin of its own frame to the end of the shaft, is clamped and turned by its motor.
+    the origin of its own frame to the end of the shaft, is clamped and turned by its motor. With
+    `tips` the other end is held as well, and does not turn: there one more edge follows, in line
+    with the last one of the filament, which is clamped.
     """
     n_flagella = len(filaments)
     radius = distance_from_axis(n_flagella, separation)
-    nodes, edges, hinges, paths, spindles, held = [], [], [], [], [], []
+    nodes, edges, hinges, paths, spindles, ends = [], [], [], [], [], []
     size = 0
     for k, filament in enumerate(filaments):
         branch = mounted(filament, edge, backwards=0)
+        if tips:
+            branch = jnp.concatenate([branch, 2.0 * branch[-1:] - branch[-2:-1]])
         nodes.append(
             around(2.0 * np.pi * k / n_flagella, branch + radius * jnp.array([0.0, 1.0, 0.0]))
         )
@@ -32,8 +36,9 @@ def clamped(filaments: Sequence[Nodes], edge: Array, separation: Array) -> Body:
         hinges += [(e, e + 1) for e in range(first, len(edges) - 1)]
         paths.append(tuple(path))
         spindles.append(first)
-        held += [*path[:2]]
+        ends += [first, len(edges) - 1] if tips else [first]
         size += len(branch)
+    held = [node for edge in ends for node in edges[edge]]
     positions = [3 * node + axis for node in held for axis in range(3)]
     topology = Topology(
         n_nodes=size,
@@ -41,6 +46,6 @@ def clamped(filaments: Sequence[Nodes], edge: Array, separation: Array) -> Body:
         hinges=tuple(hinges),
         filaments=tuple(paths),
         spindles=tuple(spindles),
-        clamped=(*positions, *(3 * size + edge for edge in spindles)),
+        clamped=(*positions, *(3 * size + edge for edge in ends)),
     )
     return Body(jnp.concatenate(nodes), topology)

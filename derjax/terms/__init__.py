@@ -9,6 +9,7 @@ from .inertia import Inertia as Inertia
 from .lagged import Lagged as Lagged
 from .resistive import ResistiveDrag as ResistiveDrag
 from .spillmann_teschner import SpillmannTeschner as SpillmannTeschner
+from .spin import SpinDrag as SpinDrag
 from .stokeslets import StokesletSegments as StokesletSegments
 from .stretch import Stretch as Stretch
 from .term import Interval as Interval

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..geometry import cross, dot, norm, unit
+from ..geometry import holonomy, norm, unit
 from ..potential import Elements, Form
 from ..pytree import Indices, pytree, replace
 from ..rod import Head, Rod, State, positions
@@ -68,8 +68,7 @@ class HeadDrag(Term):
         # the torque on the spin is felt as a force on the line, without which the head drifts
         # aside by an error of first order in the step.
         direction, before = unit(line), unit(first)
-        holonomy = cross(direction, before) / (norm(line) * (1.0 + dot(before, direction)))
-        spin = jnp.asarray(turn) + holonomy @ change
+        spin = jnp.asarray(turn) + holonomy(before, direction) / norm(line) @ change
         tilt = (jnp.eye(3) - jnp.outer(direction, direction)) @ change / norm(line)
         return (
             self.translation * move.T @ move
