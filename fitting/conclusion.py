@@ -19,6 +19,9 @@ from .uncertainty import Uncertainty, uncertainty
 
 Free = Float[np.ndarray, " p"]
 
+BEYOND = 0.3
+"""Part of an interval by which other values must lie outside of it to make it wider."""
+
 LARGEST_PREFACTOR = 30.0
 """Prefactors of drag beyond this, or below its inverse, say that something else is wrong."""
 
@@ -136,25 +139,30 @@ class Conclusion:
         std = self.goodness.inflation * known.std
         low, high = free - known.quantile * std, free + known.quantile * std
         lowest, highest, unbounded = self._reached(known.quantile)
-        wider = (lowest < low) | (highest > high)
-        low, high = np.minimum(low, lowest), np.maximum(high, highest)
-        std = np.where(
-            wider, np.maximum(std, np.maximum(high - free, free - low) / known.quantile), std
-        )
+        slack = BEYOND * known.quantile * std
+        wider = (lowest < low - slack) | (highest > high + slack)
+        low = np.where(wider, np.minimum(low, lowest), low)
+        high = np.where(wider, np.maximum(high, highest), high)
         std = np.where(unbounded, np.inf, std)
-        with np.errstate(over="ignore"):
-            ends = [self.model.values(end) for end in (low, high)]
-        slopes = parameters.slopes(free)
         values = self.model.values(free)
-        return {
-            name: Estimate(
-                values[name],
-                float(slopes[i] * std[i]),
-                (ends[0][name], ends[1][name]),
-                bool(wider[i] or unbounded[i]),
+
+        def ends(low: Free, high: Free) -> dict[str, tuple[float, float]]:
+            with np.errstate(over="ignore"):
+                at = self.model.values(low), self.model.values(high)
+            return {name: (at[0][name], at[1][name]) for name in values}
+
+        # Where the error is a large part of the value, its two sides differ: the longer one counts.
+        one, all_ = ends(free - std, free + std), ends(low, high)
+        error = {n: max(values[n] - one[n][0], one[n][1] - values[n]) for n in values}
+        reach = {n: max(values[n] - all_[n][0], all_[n][1] - values[n]) for n in values}
+        estimates = {}
+        for i, name in enumerate(parameters.names):
+            size = reach[name] / known.quantile if wider[i] else error[name]
+            lost = not np.isfinite(std[i])
+            estimates[name] = Estimate(
+                values[name], np.inf if lost else size, all_[name], bool(wider[i] or unbounded[i])
             )
-            for i, name in enumerate(parameters.names)
-        }
+        return estimates
 
     def _reached(self, quantile: float) -> tuple[Free, Free, np.ndarray]:
         """Ends of what fits about as well as the best, and whether a walk ended before it did."""

@@ -98,6 +98,7 @@ class Exploration:
         held: (p,) which parameters hardly matter, and are held at their start.
         spread: (p,) how far a factor of five of those moves the others.
         points: of all walks.
+        minima: number of minima of the loss along the walks.
         walked: (p,) which parameters were walked along.
         limits: (p, 2) how far; NaN for others.
     """
@@ -106,11 +107,17 @@ class Exploration:
     held: tuple[bool, ...]
     spread: Free
     points: tuple[Point, ...]
+    minima: int
     walked: tuple[bool, ...]
     limits: Float[np.ndarray, "p 2"]
 
     def accepted(self, rise: float) -> list[Free]:
-        """(p,) parameters of walks whose loss is at most so much above the lowest known."""
+        """(p,) parameters of walks whose loss is at most so much above the lowest known.
+
+        Among many minima that are made by noise the lowest is lower by the logarithm of their
+        number than one of them alone would be; so much more is allowed.
+        """
+        rise += np.log(max(1, self.minima))
         lowest = min([self.optima[0].loss, *(p.loss for p in self.points)])
         return [point.free for point in self.points if point.loss <= lowest + rise]
 
@@ -160,6 +167,7 @@ class _Search:
         self.walked = np.zeros(len(start), bool)
         self.limits = np.full((len(start), 2), np.nan)
         self.points: list[Point] = []
+        self.minima = 0
         self._evaluate = evaluate
 
     @property
@@ -217,6 +225,7 @@ class _Search:
         self.limits[k] = ends
         path = _walk(self.evaluate, best, k, ends)
         self.points += path
+        self.minima += int(np.count_nonzero(_are_minima(path)))
         for point in _lowest(path, best, k):
             found = _downhill(self.evaluate, point.free, 8)
             if found is not None:
@@ -231,6 +240,7 @@ class _Search:
             tuple(self.held.tolist()),
             self.spread,
             tuple(self.points),
+            self.minima,
             tuple(self.walked.tolist()),
             self.limits,
         )
@@ -377,12 +387,17 @@ def _walk(
 def _lowest(path: Sequence[Point], best: Optimum, k: int) -> list[Point]:
     """The minima of a walk that are worth a search of their own."""
     losses = np.array([point.loss for point in path])
-    padded = np.pad(losses, 1, constant_values=np.inf)
-    minimum = (losses <= padded[:-2]) & (losses <= padded[2:])
     near = losses <= losses.min() + WORTH_A_TRY
     chosen = [
         path[i]
-        for i in np.flatnonzero(minimum & near).tolist()
+        for i in np.flatnonzero(_are_minima(path) & near).tolist()
         if abs(path[i].free[k] - best.free[k]) > SHORTEST
     ]
     return sorted(chosen, key=lambda point: point.loss)[:MOST_TRIES]
+
+
+def _are_minima(path: Sequence[Point]) -> np.ndarray:
+    """Which points of a walk are no higher than their neighbours."""
+    losses = np.array([point.loss for point in path])
+    padded = np.pad(losses, 1, constant_values=np.inf)
+    return (losses <= padded[:-2]) & (losses <= padded[2:])

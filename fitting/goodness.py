@@ -137,8 +137,8 @@ def goodness(
         worst = min(ordered, key=lambda one: one.p_value)
         findings.append(
             f"residuals of {worst.channel} in {worst.run} are not noise: each follows the one "
-            f"before (correlation {worst.autocorrelation:.2f}, {worst.runs} runs of one sign where chance "
-            f"makes {worst.expected_runs:.0f}"
+            f"before (correlation {worst.autocorrelation:.2f}, {worst.runs} runs of one sign where "
+            f"chance makes {worst.expected_runs:.0f}"
             + (f"; likewise {len(ordered) - 1} more)" if len(ordered) > 1 else ")")
         )
     relative, large = _sizes(residuals, size)

@@ -18,6 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from derjax import Status
+
 from .levenberg import Trial
 from .observe import interpolation
 from .residuals import Predicted, residuals
@@ -144,7 +146,11 @@ class Model:
             partial(_is_enough, step=self.step, period=period, run=run) if preview else _never
             for run, period in zip(self.dataset.runs, self.periods, strict=True)
         ]
-        return self.simulator.runs(free, self.rates, self.steps, on_steps, enough)
+        simulated = self.simulator.runs(free, self.rates, self.steps, on_steps, enough)
+        while any(one.report.status == Status.CAPACITY for one in simulated):
+            self.simulator = self.simulator.enlarged()
+            simulated = self.simulator.runs(free, self.rates, self.steps, on_steps, enough)
+        return simulated
 
 
 def _key(free: Free, rates: Sequence[Array], kind: str) -> str:

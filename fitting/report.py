@@ -141,7 +141,8 @@ def figure(fit: Fit) -> Figure:
         for row, channel in enumerate(rows):
             _motion(axes[row, column], one, channel)
         _residuals(axes[-1, column], one)
-        rpm = "" if one.run.motor_rpm is None else f" ({one.run.motor_rpm:g} rpm)"
+        rates = np.atleast_1d([] if one.run.motor_rpm is None else one.run.motor_rpm)
+        rpm = f" ({', '.join(f'{rate:g}' for rate in rates)} rpm)" if rates.size else ""
         axes[0, column].set_title(f"{one.run.name}{rpm}", fontsize=9)
         axes[-1, column].set_xlabel("time (s)")
     for row, channel in enumerate(rows):

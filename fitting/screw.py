@@ -86,7 +86,7 @@ def extended(
         period: s, of a turn of the motors.
         times: s.
     """
-    end = step * (len(motion.observed) - 1)
+    end = _end(motion, step)
     turns = np.maximum(np.ceil((times - end) / period - 1e-9), 0).astype(int)
     base = interpolation(times - turns * period, step)(motion.observed)
     if not turns.any():
@@ -96,15 +96,20 @@ def extended(
     return np.concatenate([place, base[:, ANGLE:] + powers.angle[turns][:, None]], axis=1)
 
 
+def _end(motion: Motion, step: float) -> float:
+    """The time (s) up to which a motion can be interpolated: some steps must lie beyond."""
+    return step * (len(motion.observed) - 3)
+
+
 def is_steady(motion: Motion, step: float, period: float, until: float) -> bool:
     """Whether the last two turns say the same about where the robot is at time `until` (s)."""
-    end = step * (len(motion.observed) - 1)
+    end = _end(motion, step)
     if end < FEWEST_TURNS * period:
         return False
     count = max(1, int(np.ceil((until - end) / period)))
     last, before = (screw(motion, step, period, end - k * period) for k in (0, 1))
     powers = [one.powers(count) for one in (last, before)]
-    here = motion.observed[-1, :ANGLE]
+    here = interpolation(np.array([end]), step)(motion.observed)[0, :ANGLE]
     places = [one.rotation[-1] @ here + one.shift[-1] for one in powers]
     way = np.linalg.norm(places[0] - motion.observed[0, :ANGLE])
     turned = powers[0].rotation[-1] @ powers[1].rotation[-1].T

@@ -11,7 +11,7 @@ import os
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -21,7 +21,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from derjax import Report, Scene, SceneFile, State, build, rollout
-from derjax.rollout import new_report
+from derjax.rollout import march, new_report
+from derjax.terms.contact import Contact
 
 from .observe import observations, orientations
 from .screw import Motion
@@ -123,7 +124,7 @@ def _continue(
 
     def go_on(free, state):
         built, _ = build_with(scene, parameters, free, rpm)
-        states, new = rollout(built, state, n_steps, 1, report)
+        states, new = march(built, state, n_steps, 1, report)
         last = jax.tree.map(lambda x: x[-1], states)
         return (last, _seen(built, states)), new
 
@@ -151,6 +152,12 @@ class Simulator:
     scene: SceneFile
     parameters: Parameters
     steps_per_call: int = STEPS_PER_CALL
+
+    def enlarged(self) -> "Simulator":
+        """One whose lists of contacts have room for twice as many, which is another program."""
+        contacts = [t for t in build(self.scene)[0].terms if isinstance(t, Contact)]
+        room = self.scene.contact.model_copy(update={"capacity": 2 * contacts[0].capacity})
+        return replace(self, scene=self.scene.model_copy(update={"contact": room}))
 
     def compile(self, free: Float[np.ndarray, " p"], rpm: Array) -> None:
         """Compile beforehand; otherwise runs that start at once would each compile."""
