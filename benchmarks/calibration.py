@@ -12,6 +12,7 @@ A run that is stopped goes on where it was: only what the table lacks is compute
 """
 
 import argparse
+import csv
 import itertools
 import time
 from collections.abc import Iterator
@@ -89,12 +90,11 @@ def cases(quick: bool, only: str | None) -> Iterator[Case]:
     rates = (1.0,) if quick else tuple(FRAMES)
     starts, seeds = (STARTS[:2], SEEDS[:1]) if quick else (STARTS, SEEDS)
     if only != "two":
-        for channels, rate, start, seed in itertools.product(CHANNELS, rates, starts, seeds):
+        for seed, start, rate, channels in itertools.product(seeds, starts, rates, CHANNELS):
             yield Case("one", channels, rate, start, seed)
     if only != "one":
-        for channels, start in itertools.product(CHANNELS, starts[:2]):
-            for seed in seeds[:2]:
-                yield Case("two", channels, 1.0, start, seed)
+        for seed, start, channels in itertools.product(seeds[:2], starts[:2], CHANNELS):
+            yield Case("two", channels, 1.0, start, seed)
 
 
 def scene_of(flagella: str) -> SceneFile:
