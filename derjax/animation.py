@@ -78,7 +78,10 @@ class Film:
     def moment(self, frame: int) -> str:
         """The time of a frame (s) as a text, with as many digits as tell frames apart."""
         interval = self.time[1] - self.time[0]
-        digits = next((d for d in range(4) if abs(round(interval, d) - interval) < 1e-9), 4)
+        first = max(0, -math.floor(math.log10(interval)))
+        slack = 1e-6 * interval
+        enough = (d for d in range(first, first + 3) if abs(round(interval, d) - interval) < slack)
+        digits = next(enough, first + 3)
         return f"{self.time[frame]:.{digits}f}"
 
     def label(self, frame: int) -> str:

@@ -110,6 +110,12 @@ def test_film_keeps_time():
     assert slow.frame_length == pytest.approx(1.0)
 
 
+def test_moments_have_the_digits_that_tell_frames_apart():
+    data = moving_helices()
+    film = animation.film(data.assign_coords(time=1e-5 * data.time), fps=7.0, speed=1e-5)
+    assert [film.label(i) for i in (0, 1)] == ["t = 0.000000 s", "t = 0.000002 s"]
+
+
 def test_gif_keeps_time_in_hundredths_of_a_second(run, tmp_path):
     film = animation.film(moving_helices(), speed=1.5)
     animation.write_gif(film, tmp_path / "film.gif")
