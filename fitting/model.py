@@ -120,10 +120,14 @@ class Model:
         return Trial(residuals(runs, predicted), simulated)
 
     def _recall(self, free: Free, preview: bool) -> list[Simulated]:
-        """What was simulated before, or now is."""
+        """What was simulated before, or now is.
+
+        A preview stays one when the whole of it is known as well: a fit that is resumed has to
+        find what it found before.
+        """
         kinds = ("preview", "whole") if preview else ("whole",)
         keys = [_key(free, self.rates, kind) for kind in kinds]
-        for key in reversed(keys):
+        for key in keys:
             if (known := self._store.get(key, self.step)) is not None:
                 return known
         simulated = self._simulate(free, preview)

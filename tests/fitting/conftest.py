@@ -8,13 +8,16 @@ import pytest
 from derjax import SceneFile
 from derjax.scenefile import check
 from fitting.observe import interpolation
-from fitting.simulate import Simulator, motor_rate
+from fitting.simulate import Simulator, motor_rate, steps_per_call
 from fitting.tracks import Dataset, Run
 from fitting.transforms import choose
 
 TRUTH = {"C_t": 4.8, "C_r": 0.36}
-TIMES = np.linspace(0.11, 1.9, 15) ** 1.1 * 0.9
-"""Not those of the steps, nor evenly spaced; s."""
+TIMES = np.linspace(0.11, 10.8, 24) ** 1.05
+"""Not those of the steps, nor evenly spaced; s. Three times as long as a preview."""
+
+RATES = (80.0, 100.0)
+"""Revolutions per minute."""
 
 
 @pytest.fixture(scope="session")
@@ -23,7 +26,7 @@ def scene() -> SceneFile:
     content = {
         "robot": {"edge_length": 0.03},
         "head": {"C_t": 1.0, "C_r": 1.0},
-        "time": {"step": 0.05, "end": 2.0, "inertia": False},
+        "time": {"step": 0.05, "end": 12.0, "inertia": False},
     }
     return check(SceneFile, content, Path("tiny.toml"))
 
@@ -31,7 +34,7 @@ def scene() -> SceneFile:
 @pytest.fixture(scope="session")
 def simulator(scene: SceneFile) -> Simulator:
     """Simulates it with respect to the two drag prefactors."""
-    steps = interpolation(TIMES, scene.step).n_steps  # as in `calibrate`: one program
+    steps = steps_per_call(interpolation(TIMES, scene.step).n_steps)  # as in `Model`: one program
     return Simulator(scene, choose(("C_t", "C_r"), scene.parameters), steps)
 
 
@@ -51,5 +54,5 @@ def synthetic_run(
 @pytest.fixture(scope="session")
 def dataset(simulator: Simulator) -> Dataset:
     """Two runs without noise."""
-    runs = [synthetic_run(simulator, rpm, TIMES, TRUTH) for rpm in (60.0, 110.0)]
+    runs = [synthetic_run(simulator, rpm, TIMES, TRUTH) for rpm in RATES]
     return Dataset(simulator.scene, tuple(runs))
