@@ -46,12 +46,18 @@ SEEDS = (1, 2, 3)
 NOISE = np.array([1e-4, 1e-4, 1e-4, 0.02])
 """m and rad."""
 
-# Flagella so far apart that they do not touch: one calibration of touching ones takes as long as
+# Coarse meshes and local drag: what is tried out here is the search, not the fluid. Flagella so far
+# apart that they do not touch: one calibration of touching ones takes as long as
 # all others together.
 SCENES = {
-    "one": {"robot": {"edge_length": 0.015}, "time": {"step": 0.05, "end": 60.0}},
+    "one": {
+        "robot": {"edge_length": 0.02},
+        "fluid": {"hydrodynamics": "rft"},
+        "time": {"step": 0.05, "end": 60.0},
+    },
     "two": {
-        "robot": {"edge_length": 0.015, "kind": "two_flagella", "separation": 0.1},
+        "robot": {"edge_length": 0.02, "kind": "two_flagella", "separation": 0.1},
+        "fluid": {"hydrodynamics": "rft"},
         "time": {"step": 0.05, "end": 60.0, "tolerance": 5e-3},
     },
 }

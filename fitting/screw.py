@@ -16,7 +16,7 @@ from .observe import ANGLE, interpolation
 FEWEST_TURNS = 3
 """Turns before a motion may be taken for steady."""
 
-SAME_PLACE, SAME_ANGLE = 1e-2, 0.1
+SAME_PLACE, SAME_ANGLE = 1e-3, 0.02
 """How far the tracks that follow from the last turn and from the one before may be apart at
 their ends: as a part of the way that the robot goes, and rad."""
 
