@@ -20,6 +20,7 @@ from derjax.terms import (
     Interval,
     Lagged,
     ResistiveDrag,
+    SpinDrag,
     StokesletSegments,
 )
 
@@ -44,6 +45,7 @@ ELASTIC = dict(zip(("stretch", "bend", "twist"), elasticity(ROD, ea=100.0), stri
 DRAG = {
     "head": HeadDrag(*(jnp.asarray(x) for x in (3.0, 0.5, 0.7, 0.1))),
     "RFT": ResistiveDrag(jnp.asarray(1.0), jnp.asarray(1.8)),
+    "spin": SpinDrag(jnp.asarray(0.2)),
     "RSS": stokeslets(),
     "RSS, full weight": stokeslets(end_nodes="full"),
     "RSS, collocation": stokeslets(drag_matrix="collocation"),
@@ -88,7 +90,7 @@ def energies(state, q):
 @jax.jit
 def derivatives(state, q, along):
     """Of all that has a potential, by derjax's formulas and by automatic differentiation."""
-    terms = (*ELASTIC.values(), DRAG["head"], DRAG["RFT"], DRAG["RSS"])
+    terms = (*ELASTIC.values(), DRAG["head"], DRAG["RFT"], DRAG["spin"], DRAG["RSS"])
     total = potential(ROD, state, terms, STEP)
     change = jax.jvp(total.gradient, (q,), (along,))[1]
     return total.gradient(q), jax.grad(total.value)(q), total.hessian(q), change

@@ -23,6 +23,7 @@ from derjax.terms import (
     HeadDrag,
     Inertia,
     ResistiveDrag,
+    SpinDrag,
     StokesletSegments,
     Stretch,
     Twist,
@@ -45,6 +46,7 @@ SCENES: dict[str, dict[str, Any]] = {
     "inertia": {"time": {"inertia": True}},
     "gravity": {"gravity": {}},
     "rft": {"fluid": {"hydrodynamics": "rft"}},
+    "spin": {"fluid": {"hydrodynamics": "rft", "spin_drag": True}},
     "rss": {"fluid": {"hydrodynamics": "rss"}},
     "collocation": {"fluid": {"hydrodynamics": "rss", "drag_matrix": "collocation"}},
 }
@@ -57,6 +59,7 @@ TERMS: dict[str, tuple[type, ...]] = {
     "inertia": (*ELASTIC, Inertia),
     "gravity": (*ELASTIC, Gravity),
     "rft": (*ELASTIC, ResistiveDrag),
+    "spin": (*ELASTIC, ResistiveDrag, SpinDrag),
     "rss": (*ELASTIC, StokesletSegments),
     "collocation": (*ELASTIC, StokesletSegments),
 }
