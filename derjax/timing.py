@@ -6,6 +6,9 @@ from typing import NamedTuple
 FRAMES_PER_TURN = 6
 """The least number of saved frames in a turn of the fastest motor."""
 
+LEAST_FRAMES = 2
+"""Of a run: what is measured over its second half needs its middle and its end."""
+
 FRAMES_AT_REST = 200
 """Saved frames of a run whose motors stand still."""
 
@@ -75,7 +78,7 @@ def time_grid(end: float, step: float | None, frame: float | None, fastest_rpm: 
         )
         return TimeGrid(step, steps_per_frame, n_frames)
     if step is None:
-        n_frames = _parts(end, usual)
+        n_frames = max(LEAST_FRAMES, _parts(end, usual))
         return TimeGrid(end / n_frames / 2, 2, n_frames)
     most = max(1, round(usual / step))
     steps_per_frame = max(k for k in range(1, most + 1) if n_steps % k == 0)

@@ -51,6 +51,11 @@ def test_any_end_will_do_without_a_step():
     assert grid.step * grid.steps_per_frame * grid.n_frames == pytest.approx(0.2503, rel=1e-12)
 
 
+def test_a_slow_motor_leaves_frames_to_measure_with():
+    grid = time_grid(20.0, None, None, 0.1)
+    assert (grid.n_frames, grid.steps_per_frame, grid.step) == (2, 2, 5.0)
+
+
 @pytest.mark.parametrize(("frame", "step"), [(0.05, 0.025), (0.1, 0.05), (1.0, 0.05), (0.3, 0.05)])
 def test_a_frame_that_is_given_is_used(frame, step):
     """Steps are half of it, or less where it is longer than a sixth of a turn."""
