@@ -12,9 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from fitting import load_dataset
-from fitting.calibrate import residuals
-from fitting.observe import interpolation
-from fitting.simulate import Simulator, motor_rate, steps_per_call
+from fitting.model import Model
 from fitting.transforms import choose
 from fitting.uncertainty import coverage, uncertainty
 
@@ -28,15 +26,12 @@ SEEDS = range(100)
 def main() -> None:
     """Print how often each interval contains the truth, and how wide it is."""
     dataset = load_dataset(DATASET)
-    scene = dataset.scene
-    parameters = choose(tuple(TRUTH), scene.parameters)
-    steps = [interpolation(run.time, scene.step).n_steps for run in dataset.runs]
-    simulator = Simulator(scene, parameters, steps_per_call(max(steps)))
-    free = parameters.free(TRUTH)
-    rates = [motor_rate(scene, run) for run in dataset.runs]
-    simulator.compile(free, rates[0])
-    simulated = simulator.runs(free, rates, steps)
-    perfect = residuals(dataset.runs, simulated, scene.step)
+    parameters = choose(tuple(TRUTH), dataset.scene.parameters)
+    model = Model(dataset, parameters)
+    trial = model.whole(parameters.free(TRUTH))
+    if trial is None:
+        raise SystemExit(model.failure)
+    perfect = trial.residuals
     noise = np.array(NOISE)[perfect.kind]
     fractions = coverage(perfect, noise, SEEDS)
     known = uncertainty(replace(perfect, sigma=noise), parameters.names)
