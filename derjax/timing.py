@@ -59,30 +59,39 @@ def time_grid(end: float, step: float | None, frame: float | None, fastest_rpm: 
     """
     usual = usual_frame(end, fastest_rpm)
     shortest = step or min(frame or usual, usual) / 2
-    if (n_steps := end / shortest) > MOST_STEPS:
+    if (count := end / shortest) > MOST_STEPS:
         given = f"end = {end:g}" if step is None else f"step = {step:g}"
-        raise ValueError(f"{given}: {n_steps:.2g} steps are too many")
-    if step is not None:
-        if step > end:
-            raise ValueError(f"step = {step:g}: must not be longer than end = {end:g} s")
-        n_steps = _whole(end / step, f"end = {end:g}: must be a whole number of {step:g} s steps")
-    if frame is not None:
-        n_frames = _whole(
-            end / frame, f"frame = {frame:g}: end = {end:g} s must be a whole number of frames"
-        )
-        if step is None:
-            steps_per_frame = 2 * _parts(frame, usual)
-            return TimeGrid(frame / steps_per_frame, steps_per_frame, n_frames)
-        steps_per_frame = _whole(
-            frame / step, f"frame = {frame:g}: must be a whole number of {step:g} s steps"
-        )
-        return TimeGrid(step, steps_per_frame, n_frames)
+        raise ValueError(f"{given}: {count:.2g} steps are too many")
     if step is None:
-        n_frames = max(LEAST_FRAMES, _parts(end, usual))
-        return TimeGrid(end / n_frames / 2, 2, n_frames)
-    most = max(1, round(usual / step))
-    steps_per_frame = max(k for k in range(1, most + 1) if n_steps % k == 0)
-    return TimeGrid(step, steps_per_frame, n_steps // steps_per_frame)
+        if frame is None:
+            n_frames = max(LEAST_FRAMES, _parts(end, usual))
+            return TimeGrid(end / n_frames / 2, 2, n_frames)
+        steps_per_frame = 2 * _parts(frame, usual)
+        return TimeGrid(frame / steps_per_frame, steps_per_frame, _frames(end, frame))
+    if step > end:
+        raise ValueError(f"step = {step:g}: must not be longer than end = {end:g} s")
+    n_steps = _whole(end / step, f"end = {end:g}: must be a whole number of {step:g} s steps")
+    if frame is None:
+        most = min(round(usual / step), n_steps // LEAST_FRAMES)
+        steps_per_frame = _largest_divisor(n_steps, max(1, most))
+        return TimeGrid(step, steps_per_frame, n_steps // steps_per_frame)
+    steps_per_frame = _whole(
+        frame / step, f"frame = {frame:g}: must be a whole number of {step:g} s steps"
+    )
+    return TimeGrid(step, steps_per_frame, _frames(end, frame))
+
+
+def _frames(end: float, frame: float) -> int:
+    """The number of frames of a given length."""
+    return _whole(
+        end / frame, f"frame = {frame:g}: end = {end:g} s must be a whole number of frames"
+    )
+
+
+def _largest_divisor(number: int, most: int) -> int:
+    """The largest divisor of a number that is at most `most`."""
+    small = [k for k in range(1, math.isqrt(number) + 1) if number % k == 0]
+    return max(d for k in small for d in (k, number // k) if d <= most)
 
 
 def _parts(whole: float, longest: float) -> int:

@@ -54,6 +54,8 @@ def test_any_end_will_do_without_a_step():
 def test_a_slow_motor_leaves_frames_to_measure_with():
     grid = time_grid(20.0, None, None, 0.1)
     assert (grid.n_frames, grid.steps_per_frame, grid.step) == (2, 2, 5.0)
+    grid = time_grid(20.0, 1e-6, None, 0.1)
+    assert (grid.n_frames, grid.steps_per_frame) == (2, 10_000_000)
 
 
 @pytest.mark.parametrize(("frame", "step"), [(0.05, 0.025), (0.1, 0.05), (1.0, 0.05), (0.3, 0.05)])
