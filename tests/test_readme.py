@@ -1,0 +1,39 @@
+"""README's first command finds the truth, and prints what README says that it prints."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from derjax.cli import main
+
+ROOT = Path(__file__).parents[1]
+TRUTH = {"C_t": 4.8, "C_r": 0.36}
+
+BETWEEN_CODES = 3e-3
+"""The tracks are another code's: its speeds and rates differ by 0.1 %, and with them what is
+fitted by about as much."""
+
+ESTIMATE = re.compile(r"^(C_t|C_r) = .*$", re.MULTILINE)
+
+
+def test_the_calibration_of_the_readme(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    command = re.search(r"derjax (fit \S+) -o \S+$", readme, re.MULTILINE)
+    assert command is not None
+    monkeypatch.chdir(ROOT)
+    assert main([*command[1].split(), "-o", str(tmp_path / "fit")]) == 0
+    printed = capsys.readouterr()
+    assert "warning" not in printed.err
+    fit = json.loads((tmp_path / "fit" / "fit.json").read_text())
+    assert fit["status"] == "converged"
+    assert (tmp_path / "fit" / "fit.png").stat().st_size > 10_000
+    for name, truth in TRUTH.items():
+        found = fit["parameters"][name]
+        assert abs(found["value"] - truth) <= 3.0 * found["std"] + BETWEEN_CODES * truth
+    shown = [match[0] for match in ESTIMATE.finditer(readme)]
+    assert len(shown) == len(TRUTH)
+    assert shown == [match[0] for match in ESTIMATE.finditer(printed.out)]
