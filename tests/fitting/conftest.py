@@ -1,5 +1,6 @@
 """A robot of nine nodes and two short synthetic tracks of it, compiled once for all tests."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,19 @@ from fitting.tracks import Dataset, Run
 from fitting.transforms import choose
 
 TRUTH = {"C_t": 4.8, "C_r": 0.36}
-TIMES = np.linspace(0.11, 10.8, 24) ** 1.05
-"""Not those of the steps, nor evenly spaced; s. Three times as long as a preview."""
+TIMES = np.linspace(0.11, 2.65, 24) ** 1.05
+"""Not those of the steps, nor evenly spaced; s."""
 
-RATES = (80.0, 100.0)
-"""Revolutions per minute."""
+RATES = (45.0, 65.0)
+"""Revolutions per minute. With steps of 50 ms the robot turns smoothly at these."""
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _short_calls() -> Iterator[None]:
+    """Let short tracks take two calls of the compiled program, as long ones do."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fitting.simulate.STEPS_PER_CALL", 30)
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -26,7 +35,7 @@ def scene() -> SceneFile:
     content = {
         "robot": {"edge_length": 0.03},
         "head": {"C_t": 1.0, "C_r": 1.0},
-        "time": {"step": 0.05, "end": 12.0, "inertia": False},
+        "time": {"step": 0.05, "end": 3.0, "inertia": False},
     }
     return check(SceneFile, content, Path("tiny.toml"))
 
@@ -56,3 +65,9 @@ def dataset(simulator: Simulator) -> Dataset:
     """Two runs without noise."""
     runs = [synthetic_run(simulator, rpm, TIMES, TRUTH) for rpm in RATES]
     return Dataset(simulator.scene, tuple(runs))
+
+
+@pytest.fixture
+def short_previews(monkeypatch) -> None:
+    """Take every motion for steady after one call, so that previews are half as long as tracks."""
+    monkeypatch.setattr("fitting.model.is_steady", lambda *_: True)

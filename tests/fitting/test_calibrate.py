@@ -34,7 +34,7 @@ def test_parameters_are_recovered_from_perfect_tracks(fit) -> None:
 
 
 def test_before_is_the_simulation_of_the_start(fit, simulator) -> None:
-    expected = simulator.run(np.zeros(2), np.asarray(80.0), 3 * simulator.steps_per_call)
+    expected = simulator.run(np.zeros(2), np.asarray(45.0), 2 * simulator.steps_per_call)
     assert np.allclose(fit.runs[0].before.observed, expected.observed, rtol=0, atol=1e-12)
     assert np.abs(fit.runs[0].before.observed - fit.runs[0].after.observed).max() > 1e-3
 
@@ -117,9 +117,9 @@ def test_a_common_scale_of_all_forces_is_reported(dataset) -> None:
     assert np.isinf(fit.estimates["youngs_modulus"].std)
 
 
-def test_progress_tells_rate_and_time_left(dataset) -> None:
+def test_progress_tells_rate_and_time_left(dataset, short_previews) -> None:
     seen = []
-    fit = calibrate(dataset, initial=TRUTH, progress=seen.append)
+    fit = calibrate(dataset, initial={"C_t": 4.0, "C_r": 0.4}, progress=seen.append)
     done = [progress for progress in seen if progress.latest is not None]
     assert sum(progress.stage == "fit" for progress in done) == len(fit.history)
     assert done[-1].values == pytest.approx(fit.values)
@@ -181,7 +181,7 @@ def fails_below(monkeypatch):
 
 def test_a_start_that_cannot_be_simulated_is_explained(dataset, fails_below) -> None:
     fails_below(1.1)
-    says = r"with C_t = 1, C_r = 1: run 'rpm80': .* t = 0.5 s failed: .* line search"
+    says = r"with C_t = 1, C_r = 1: run 'rpm45': .* t = 0.5 s failed: .* line search"
     with pytest.raises(SolverError, match=says):
         calibrate(dataset)
 
@@ -199,23 +199,17 @@ def test_a_start_for_something_else_is_refused(dataset) -> None:
         calibrate(dataset, initial={"viscosity": 2.0})
 
 
-def test_previews_are_shorter_than_the_tracks_and_hardly_differ(dataset, simulator) -> None:
+def test_a_preview_stays_one_when_the_whole_is_known(dataset, simulator, short_previews) -> None:
+    call = simulator.steps_per_call
     model = Model(dataset, simulator.parameters)
     free = simulator.parameters.free({"C_t": 4.0, "C_r": 0.4})
-    preview, whole = model.preview(free), model.whole(free)
-    again = model.preview(free)
+    preview, whole, again = model.preview(free), model.whole(free), model.preview(free)
     assert preview is not None
-    assert again is not None
-    assert again.model is preview.model  # though the whole of it is known by now
     assert whole is not None
-    assert all(
-        len(one.time) - 1 <= 0.6 * n for one, n in zip(preview.model, model.steps, strict=True)
-    )
-    assert all(len(one.time) > n for one, n in zip(whole.model, model.steps, strict=True))
-    angle = whole.residuals.kind == 1
-    apart = np.abs(preview.residuals.value - whole.residuals.value)
-    assert apart[~angle].max() < 0.03 * max(np.ptp(run.values[:, 0]) for run in dataset.runs)
-    assert apart[angle].max() < 0.1
+    assert again is not None
+    assert [len(one.time) for one in preview.model] == [call + 1, call + 1]
+    assert [len(one.time) for one in whole.model] == [2 * call + 1, 2 * call + 1]
+    assert again.model is preview.model
 
 
 def test_an_interrupted_search_gives_the_best_of_its_previews(dataset) -> None:
@@ -235,7 +229,9 @@ def test_an_interrupted_search_gives_the_best_of_its_previews(dataset) -> None:
     assert fit.runs[0].before is None
 
 
-def test_what_is_stored_is_not_simulated_again(dataset, tmp_path, monkeypatch) -> None:
+def test_what_is_stored_is_not_simulated_again(
+    dataset, tmp_path, monkeypatch, short_previews
+) -> None:
     first = calibrate(dataset, store=tmp_path)
     taken = []
     true_run = Simulator.run

@@ -9,7 +9,7 @@ from fitting.simulate import _continue, simulate, steps_per_call
 
 FREE = np.log([3.0, 0.5])
 RPM = jnp.array(100.0)
-STEPS = 100
+STEPS = 50
 """More than one call of the compiled program, less than two."""
 
 
