@@ -1,9 +1,11 @@
 """The search on its own: small problems with known answers, failures, interruptions."""
 
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from fitting.levenberg import Trial, minimise
 from fitting.uncertainty import Residuals
@@ -88,3 +90,101 @@ def test_a_parameter_without_effect_does_no_harm() -> None:
     assert found is not None
     assert found.status == "converged"
     assert found.free == pytest.approx([1.0, 7.0], abs=0.05)
+
+
+T = np.linspace(0.0, 2.0, 30)
+RNG = np.random.default_rng(11)
+NOISE = 0.01 * RNG.normal(size=T.size)
+
+
+def decay(free: np.ndarray) -> Trial[None]:
+    """A decay to a constant, with logarithms of amplitude and rate."""
+    a, k = np.exp(free[:2])
+    curve = a * np.exp(-k * T)
+    value = curve + free[2] - (2.0 * np.exp(-1.5 * T) + 0.3 + NOISE)
+    return trial_of(value, np.stack([curve, -k * T * curve, np.ones_like(T)], axis=1))
+
+
+def wave(free: np.ndarray) -> Trial[None]:
+    """Amplitude, frequency and phase of a sine."""
+    a, w, p = free
+    value = a * np.sin(w * T + p) - (1.2 * np.sin(3.0 * T + 0.5) + NOISE)
+    inner = a * np.cos(w * T + p)
+    return trial_of(value, np.stack([np.sin(w * T + p), T * inner, inner], axis=1))
+
+
+@pytest.mark.parametrize(
+    ("model", "start"),
+    [(decay, (0.0, 0.0, 0.0)), (wave, (0.5, 2.6, 0.2)), (rosenbrock, (-1.2, 1.0))],
+)
+def test_the_optimum_is_that_of_scipy(
+    model: Callable[[np.ndarray], Trial[None]], start: tuple[float, ...]
+) -> None:
+    expected = least_squares(
+        lambda free: model(free).residuals.value,
+        start,
+        jac=lambda free: model(free).residuals.jacobian,  # pyright: ignore[reportArgumentType]
+        method="lm",
+        xtol=1e-14,
+        ftol=1e-14,
+        gtol=1e-14,
+    )
+    found = minimise(model, np.array(start), gain_tolerance=1e-18, step_tolerance=1e-9)
+    assert found is not None
+    assert found.status == "converged"
+    assert found.free == pytest.approx(expected.x, rel=1e-7)
+    assert found.loss == pytest.approx(expected.cost, rel=1e-10)
+    assert len(found.history) <= expected.nfev + 10
+
+
+def beside_one_that_hardly_matters(free: np.ndarray) -> Trial[None]:
+    """A decay whose rate is known well, and a second parameter that is next to without effect."""
+    k = np.exp(free[0])
+    value = np.exp(-k * T) - np.exp(-1.5 * T) + 1e-8 * free[1] * T - 1e-3 * T
+    return trial_of(100 * value, 100 * np.stack([-k * T * np.exp(-k * T), 1e-8 * T], axis=1))
+
+
+def test_a_parameter_that_hardly_matters_does_not_spoil_the_other() -> None:
+    """It would have to be 1e5 to do anything: the other is found as if it were not there."""
+    alone = minimise(
+        lambda free: trial_of(
+            beside_one_that_hardly_matters(np.append(free, 0.0)).residuals.value,
+            beside_one_that_hardly_matters(np.append(free, 0.0)).residuals.jacobian[:, :1],
+        ),
+        np.array([2.0]),
+        gain_tolerance=1e-18,
+        step_tolerance=1e-9,
+    )
+    found = minimise(beside_one_that_hardly_matters, np.array([2.0, 0.0]))
+    assert alone is not None
+    assert found is not None
+    assert alone.status == "converged"
+    assert np.isfinite(found.free).all()
+    assert found.free[0] == pytest.approx(alone.free[0], abs=1e-4)
+
+
+def scaled(scale: np.ndarray) -> Callable[[np.ndarray], Trial[None]]:
+    """The decay with its parameters in other units."""
+
+    def model(free: np.ndarray) -> Trial[None]:
+        trial = decay(free / scale)
+        residuals = trial.residuals
+        return trial_of(residuals.value, residuals.jacobian / scale)
+
+    return model
+
+
+@pytest.mark.parametrize("scale", [(1e-3, 1.0, 1.0), (1.0, 1e-3, 1e-2), (0.1, 0.3, 1e-4)])
+def test_convergence_does_not_depend_on_units(scale: tuple[float, ...]) -> None:
+    """As long as no step is longer than a step may be."""
+    start = np.array([0.4, 0.2, 0.1])
+    unit = np.array(scale)
+    expected = minimise(decay, start, gain_tolerance=1e-12, step_tolerance=0.0)
+    found = minimise(scaled(unit), unit * start, gain_tolerance=1e-12, step_tolerance=0.0)
+    assert expected is not None
+    assert found is not None
+    assert found.status == expected.status == "converged"
+    assert found.free / unit == pytest.approx(expected.free, rel=1e-6)
+    assert len(found.history) == len(expected.history)
+    for one, other in zip(found.history, expected.history, strict=True):
+        assert one.loss == pytest.approx(other.loss, rel=1e-6)
