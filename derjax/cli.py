@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 from importlib.metadata import EntryPoint, entry_points, version
 from typing import Any
 
-from .errors import InputWarning
+from .errors import InputWarning, WriteWarning
 from .progress import terminated_like_interrupted
 from .runtime import enable_compilation_cache, use_one_blas_thread
 from .scenefile import InputError
@@ -45,7 +45,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         enable_compilation_cache()
         use_one_blas_thread()
         with terminated_like_interrupted(), warnings.catch_warnings():
-            warnings.simplefilter("always", InputWarning)
+            for category in (InputWarning, WriteWarning):
+                warnings.simplefilter("always", category)
             warnings.showwarning = _shown_once(warnings.showwarning)
             return args.run(args)
     except (InputError, SolverError, OSError) as error:
@@ -57,11 +58,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _shown_once(otherwise: Callable[..., None]) -> Callable[..., None]:
-    """What shows warnings: those about input as messages on stderr, each once."""
+    """What shows warnings: those about input and files as messages on stderr, each once."""
     shown: set[str] = set()
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
-        if not issubclass(category, InputWarning):
+        if not issubclass(category, (InputWarning, WriteWarning)):
             otherwise(message, category, *place, **more)
         elif str(message) not in shown:
             shown.add(str(message))

@@ -1,4 +1,4 @@
-"""What is said about input: that it is wrong, or that it may not mean what it seems to."""
+"""What is said about input, that it is wrong or may not mean what it seems to, and about files."""
 
 
 class InputError(ValueError):
@@ -7,3 +7,7 @@ class InputError(ValueError):
 
 class InputWarning(UserWarning):
     """Something that the user gave can be used, but perhaps not as it was meant."""
+
+
+class WriteWarning(UserWarning):
+    """A file could not be written; what is done goes on without it."""

@@ -19,7 +19,7 @@ from .model import Model
 from .outcome import Fit, Progress
 from .simulate import Simulated
 from .tracks import Dataset
-from .transforms import choose
+from .transforms import Parameters, choose
 
 Free = Float[np.ndarray, " p"]
 
@@ -72,12 +72,7 @@ def calibrate(
         KeyboardInterrupt: before there was any result.
     """
     begun = time.perf_counter()
-    known = dataset.scene.parameters
-    chosen = choose(parameters, known)
-    for name in initial or {}:
-        if name not in chosen.names:
-            raise InputError(f"a start is given for {name}, which is not among the parameters")
-    start = {name: float({**known, **(initial or {})}[name]) for name in chosen.names}
+    chosen, start = beginning(dataset, parameters, initial or {})
     free = chosen.free(start)
     clock = _Clock(progress, compare)
     model = Model(dataset, chosen, clock.on_steps, store)
@@ -105,6 +100,24 @@ def calibrate(
     return Conclusion(model, exploration, optima, judged, causes).fit(
         start, before, clock.previews, time.perf_counter() - begun
     )
+
+
+def beginning(
+    dataset: Dataset, parameters: Sequence[str], initial: Mapping[str, float]
+) -> tuple[Parameters, dict[str, float]]:
+    """What a calibration varies, and the values that it starts from.
+
+    Raises:
+        InputError: a parameter that does not exist or a start outside of its range.
+    """
+    known = dataset.scene.parameters
+    chosen = choose(parameters, known)
+    for name in initial:
+        if name not in chosen.names:
+            raise InputError(f"a start is given for {name}, which is not among the parameters")
+    start = {name: float({**known, **initial}[name]) for name in chosen.names}
+    chosen.free(start)
+    return chosen, start
 
 
 def _explored(clock: "_Clock", free: Free) -> Exploration:

@@ -7,11 +7,11 @@ import threading
 import time
 from pathlib import Path
 
-from derjax import InputError
+from derjax import InputError, SolverError
 from derjax.commands.options import add_output, add_quiet
 from derjax.output import Output, output_directory
 
-from .calibrate import calibrate
+from .calibrate import beginning, calibrate
 from .outcome import Fit, Progress
 from .report import FIGURE, REPORT, rms, table, write
 from .tracks import Dataset, load_dataset
@@ -61,6 +61,7 @@ def run(args: argparse.Namespace) -> int:
     if args.max_iterations < 1:
         raise InputError(f"--max-iterations {args.max_iterations}: must be at least 1")
     dataset = load_dataset(args.dataset)
+    beginning(dataset, args.parameters, initial)  # before anything of another fit is replaced
     with output_directory(args.output) as output:
         _check_output(args, output)
         identity = begin if not args.resume else resume
@@ -95,6 +96,9 @@ def _fit(
         printer.clear()
         print(f"derjax: interrupted before there was a result; {again}", file=sys.stderr)
         return INTERRUPTED
+    except SolverError:
+        finish(output)  # it would fail again
+        raise
     printer.clear()
     paths = write(fit, output, figures=not args.no_figures)
     _print_outcome(fit)

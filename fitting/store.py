@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from derjax.errors import WriteWarning
 from derjax.files import atomic_path
 from derjax.rollout import Report
 
@@ -43,7 +44,8 @@ class Store:
             with atomic_path(self.directory / f"{key}.npz") as temporary:
                 np.savez(temporary, **arrays)
         except OSError as error:
-            warnings.warn(f"{error}; what is simulated from here on is not kept", stacklevel=2)
+            told = f"{error}; the fit goes on, but what it simulates from here on is not kept"
+            warnings.warn(told, WriteWarning, stacklevel=2)
             self.directory = None
 
     def get(self, key: str, step: float) -> list[Simulated] | None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from derjax import Status
+from derjax.errors import WriteWarning
 from derjax.rollout import Report, new_report
 from fitting.simulate import Simulated
 from fitting.store import ARRAYS, MOST_IN_MEMORY, Store
@@ -98,7 +99,7 @@ def test_a_full_disk_is_told_of_once_and_memory_goes_on(runs, tmp_path, monkeypa
     store = Store(tmp_path)
     store.put("whole-0", runs)
     monkeypatch.setattr(np, "savez", full)
-    with pytest.warns(UserWarning, match="whole-1.npz: cannot be written: No space left"):
+    with pytest.warns(WriteWarning, match="whole-1.npz: cannot be written: No space left"):
         store.put("whole-1", runs)
     with warnings.catch_warnings(action="error"):
         store.put("whole-2", runs)
