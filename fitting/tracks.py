@@ -11,6 +11,7 @@ from derjax.errors import InputError
 from derjax.fields import TIME_UNITS
 from derjax.motortable import covers
 from derjax.scenefile import check, read_toml
+from derjax.timing import time_grid
 
 from .datasetfile import ANGLE_UNITS, LENGTH_UNITS, DatasetFile, RunFile
 from .observe import ANGLE, CHANNELS
@@ -91,7 +92,17 @@ def load_dataset(path: str | Path) -> Dataset:
         track = path.parent / described.track
         _check_covered(track, run, scene, described)
         check_plausible(track, run, scene, described)
-    return Dataset(scene, runs, path)
+    return Dataset(_in_steps_for(runs, scene), runs, path)
+
+
+def _in_steps_for(runs: tuple[Run, ...], scene: SceneFile) -> SceneFile:
+    """The scene with steps that suit the fastest motor of all runs, unless it has its own."""
+    if scene.time.step is not None or scene.time.frame is not None:
+        return scene
+    rates = [scene.fastest_rpm if run.motor_rpm is None else run.motor_rpm for run in runs]
+    fastest = max(float(np.abs(rate).max()) for rate in rates)
+    step = time_grid(scene.time.end, None, None, fastest).step
+    return scene.model_copy(update={"time": scene.time.model_copy(update={"step": step})})
 
 
 def _read_run(path: Path, run: RunFile) -> Run:

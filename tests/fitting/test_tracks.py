@@ -148,3 +148,16 @@ def test_displacements_may_start_anywhere(written) -> None:
     rows = [[r[0], str(500 + float(r[1])), *r[2:]] for r in good_rows()]
     (run,) = load_dataset(written(rows=rows, run=RUN + 'origin = "track"\n')).runs
     assert run.free_origin
+
+
+@pytest.mark.parametrize(("rpm", "step"), [(60, 0.05), (300, 0.01)])
+def test_steps_that_are_not_given_suit_the_motors_of_the_tracks(tmp_path, rpm, step) -> None:
+    """And not that of the scene, which turns at 60 rpm."""
+    (tmp_path / "scene.toml").write_text("[robot]\nedge_length = 0.03\n")
+    rows = "".join(f"{k},{-1e-4 * k}\n" for k in range(12))
+    (tmp_path / "track.csv").write_text("t,x\n" + rows)
+    (tmp_path / "dataset.toml").write_text(
+        'scene = "scene.toml"\n[[runs]]\ntrack = "track.csv"\norigin = "track"\n'
+        f'motor_rpm = {rpm}\ncolumns = {{ t = "t", x = "x" }}\n'
+    )
+    assert load_dataset(tmp_path / "dataset.toml").scene.step == pytest.approx(step)
