@@ -100,8 +100,15 @@ def _fit(
         finish(output)  # it would fail again
         raise
     printer.clear()
-    paths = write(fit, output, figures=not args.no_figures)
-    _print_outcome(fit)
+    if not args.quiet:
+        _print_outcome(fit)
+    for warning in fit.warnings:
+        print(f"\nwarning: {warning}", file=sys.stderr)
+    try:
+        paths = write(fit, output, figures=not args.no_figures)
+    except (InputError, OSError):
+        print(f"derjax: what was simulated is in {store}; {again}", file=sys.stderr)
+        raise
     if not args.quiet:
         print("\n" + "\n".join(str(path) for path in paths))
     if fit.status == "interrupted":
@@ -164,8 +171,6 @@ def _print_outcome(fit: Fit) -> None:
         print(f"{one.run.name}: {rms(one.rms)}{drift}")
     if fit.goodness.good and (said := fit.goodness.sentence()):
         print(f"\n{said}")
-    for warning in fit.warnings:
-        print(f"\nwarning: {warning}", file=sys.stderr)
 
 
 class _Printer:

@@ -1,12 +1,13 @@
 """A robot of nine nodes and two short synthetic tracks of it, compiled once for all tests."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from derjax import SceneFile
+from derjax import SceneFile, Status
 from derjax.scenefile import check
 from fitting.observe import interpolation
 from fitting.simulate import Simulator, motor_rate, steps_per_call
@@ -71,3 +72,23 @@ def dataset(simulator: Simulator) -> Dataset:
 def short_previews(monkeypatch) -> None:
     """Take every motion for steady after one call, so that previews are half as long as tracks."""
     monkeypatch.setattr("fitting.model.is_steady", lambda *_: True)
+
+
+@pytest.fixture
+def fails_below(monkeypatch) -> Callable[[float], None]:
+    """Makes simulations fail where C_r is less than a number."""
+
+    def install(least: float) -> None:
+        true_run = Simulator.run
+
+        def run(self, free, *args):
+            simulated = true_run(self, free, *args)
+            if np.exp(free[1]) >= least:
+                return simulated
+            code = np.asarray(Status.LINE_SEARCH)
+            failed = replace(simulated.report, status=code, failed_at=np.asarray(0.5))
+            return replace(simulated, report=failed)
+
+        monkeypatch.setattr(Simulator, "run", run)
+
+    return install

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from derjax import InputError, SolverError, Status
+from derjax import InputError, SolverError
 from fitting.calibrate import calibrate
 from fitting.model import Model
 from fitting.simulate import Simulator
@@ -157,26 +157,6 @@ def test_an_interruption_before_any_result_is_passed_on(dataset, explored) -> No
 
     with pytest.raises(KeyboardInterrupt):
         calibrate(dataset, progress=interrupt, explored=explored)
-
-
-@pytest.fixture
-def fails_below(monkeypatch):
-    """Makes simulations fail where C_r is less than a number."""
-
-    def install(least: float) -> None:
-        true_run = Simulator.run
-
-        def run(self, free, *args):
-            simulated = true_run(self, free, *args)
-            if np.exp(free[1]) >= least:
-                return simulated
-            code = np.asarray(Status.LINE_SEARCH)
-            failed = replace(simulated.report, status=code, failed_at=np.asarray(0.5))
-            return replace(simulated, report=failed)
-
-        monkeypatch.setattr(Simulator, "run", run)
-
-    return install
 
 
 def test_a_start_that_cannot_be_simulated_is_explained(dataset, fails_below) -> None:
