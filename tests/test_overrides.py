@@ -176,7 +176,7 @@ def test_batches_have_a_record_for_every_run():
         ("single", {"rod_radius": -1.0}, r"\[robot\] rod_radius = -1"),
         ("single", {"rod_radius": 1.6}, r"\[robot\] rod_radius = 1.6.*0.0016"),
         ("single", {"C_t": float("nan")}, r"\[head\] C_t = nan"),
-        ("single", {"rpm": 1e6}, r"\[motor\] rpm = 1e\+06: beyond any motor"),
+        ("single", {"rpm": 1e7}, r"\[motor\] rpm = 1e\+07: beyond any motor"),
         ("single", {"viscosity": [1.0, 2.0]}, r"\[fluid\] viscosity"),
         ("single", {"regularization": 0.05}, r"\[fluid\] regularization = 0.05"),
         ("arcs", {"separation": 3.3e-3, "bend": -6.0}, r"two parts of the robot overlap"),
@@ -225,4 +225,4 @@ def test_rates_of_a_motor_table_are_overridden_together(tmp_path):
     np.testing.assert_allclose(dataset.motor_rate[0], np.array(rates[0]) * 2 * np.pi / 60)
     write(dataset, tmp_path / "trajectory.nc")
     with pytest.raises(InputError, match="rpm"):
-        build(file, {"rpm": [[2e5, 0.0], [0.0, 0.0]]})
+        build(file, {"rpm": [[2e7, 0.0], [0.0, 0.0]]})
