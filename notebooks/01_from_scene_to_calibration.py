@@ -310,14 +310,25 @@ print(f"start: C_t = {dataset.scene.head.C_t}, C_r = {dataset.scene.head.C_r}")
 # The code that the tracks are from resists the spin of the head about its axis only, so we
 # ask for the same model. Then Gauss and Newton (with Levenberg's and Marquardt's help) do the rest:
 # the simulation returns the residuals together with their exact derivatives, so a handful of
-# runs is enough, where a search over a grid takes hundreds.
+# runs is enough, where a search over a grid takes hundreds. The first of them are previews, which
+# stop as soon as the robot swims steadily; we note where every iteration is.
 
 # %%
 content = dataset.scene.model_dump(exclude_unset=True)
 content["head"] |= {"rotation": "spin"}
 dataset = replace(dataset, scene=SceneFile.model_validate(content), runs=(track,))
-fit = calibrate(dataset, ["C_t", "C_r"])
+way = []
+
+
+def note(progress):
+    """Keep the parameters after every iteration."""
+    if progress.latest is not None:
+        way.append(list(progress.values.values()))
+
+
+fit = calibrate(dataset, ["C_t", "C_r"], progress=note)
 print(fit_table(fit))
+print(fit.goodness.sentence())
 print(f"correlation of the two: {fit.correlation[0, 1]:.2f}; {fit.status}")
 print(f"noise found: {1e3 * fit.noise['position']:.3f} mm, {fit.noise['head_angle']:.4f} rad")
 
@@ -335,7 +346,7 @@ figure.set_dpi(80)
 display(figure)
 
 # %%
-trail = np.exp([iteration.free for iteration in fit.history if iteration.accepted])
+trail = np.array(way)
 spread = np.array([estimate.std for estimate in fit.estimates.values()])
 root_covariance = np.linalg.cholesky(fit.correlation * np.outer(spread, spread))
 circle = np.linspace(0, 2 * np.pi, 100)
@@ -357,4 +368,5 @@ plt.close(figure)
 # %% [markdown]
 # Error bars are about noise. A robot that differs from the model by some per cent gives parameters
 # that differ as much, however small the bars: residuals that keep one sign for long, or are larger
-# than the noise of the camera, tell.
+# than the noise of the camera, tell. `calibrate` looks for that, says so in `fit.warnings`, makes
+# the bars wider, and names what might be the cause (`fit.causes`).
