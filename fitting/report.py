@@ -196,8 +196,10 @@ def _motion(axis: Axes, one: RunFit, channel: int) -> None:
 def _offset(one: RunFit, simulated: Simulated, channel: int) -> float:
     """What is added to a track of free origin to lie on the simulation (m)."""
     run = one.run
-    at_frames = np.interp(run.time, simulated.time, simulated.observed[:, channel])
-    return float(np.mean(at_frames - run.values[:, run.channels.index(channel)]))
+    # The simulation of a fit that was stopped early may be shorter than the track.
+    seen = run.time <= max(simulated.time[-1], run.time[0])
+    at_frames = np.interp(run.time[seen], simulated.time, simulated.observed[:, channel])
+    return float(np.mean(at_frames - run.values[seen, run.channels.index(channel)]))
 
 
 def _residuals(axis: Axes, one: RunFit) -> None:

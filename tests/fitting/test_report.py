@@ -99,3 +99,20 @@ def test_figures_of_partial_tracks(fit, channels) -> None:
     partial = figure(replace(fit, runs=tuple(runs)))
     angle, place = 3 in channels, any(c != 3 for c in channels)
     assert len(partial.axes) == 2 * (1 + angle + place)
+
+
+def test_a_track_lies_on_a_simulation_that_was_stopped_early(fit) -> None:
+    """Displacements are shown from where the simulation is, as far as it goes."""
+    one = fit.runs[1]
+    steps = slice(0, len(one.after.time) // 3)
+    short = replace(one.after, time=one.after.time[steps], observed=one.after.observed[steps])
+    moved = replace(one.run, values=one.run.values + np.array([0.3, 0, 0, 0]), free_origin=True)
+    early = replace(one, run=moved, after=short, before=None)
+    axes = figure(replace(fit, runs=(early,))).axes
+    after, track = axes[0].get_lines()
+    shown = track.get_xdata() <= short.time[-1]
+    there = np.interp(track.get_xdata()[shown], after.get_xdata(), after.get_ydata())
+    assert np.allclose(track.get_ydata()[shown], there, rtol=0, atol=0.05)
+    whole = np.ptp(1e3 * one.run.values[:, 0])
+    assert np.ptp(track.get_ydata()) == pytest.approx(whole)
+    assert whole > 0.3
