@@ -22,7 +22,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from .linear import sizes
+from .linear import ridge
 from .pytree import pytree, static
 from .rod import Topology
 
@@ -163,6 +163,12 @@ class BlockMatrix:
         d, o, u, border = (p.reshape(s) for p, s in zip(pieces, shapes, strict=True))
         return d, o, u, border
 
+    @property
+    def diagonal(self) -> Float[Array, " d"]:
+        """Its diagonal."""
+        d, _, _, border = self.parts
+        return self.layout.scatter(jnp.diagonal(d, axis1=-2, axis2=-1), jnp.diagonal(border))
+
 
 def assemble(
     layout: Layout,
@@ -253,16 +259,15 @@ def _inverse_factor(matrix: Float[Array, "*b k k"]) -> Float[Array, "*b k k"]:
     return lax.linalg.triangular_solve(lower, identity, left_side=True, lower=True)
 
 
-def _heavier(matrices: Float[Array, "*b k k"], shift: Array) -> Float[Array, "*b k k"]:
-    """Matrices with some multiple of their own diagonals added."""
-    size = sizes(jnp.diagonal(matrices, axis1=-2, axis2=-1))
-    return matrices + shift * size[..., None] * jnp.eye(size.shape[-1])
+def _heavier(matrices: Float[Array, "*b k k"], added: Float[Array, "*b k"]) -> Array:
+    """Matrices with something added to their diagonals."""
+    return matrices + added[..., None] * jnp.eye(added.shape[-1])
 
 
-def _factor(matrix: BlockMatrix, shift: Array) -> BlockFactor:
-    """The factor with a multiple of the diagonal added."""
+def _factor(matrix: BlockMatrix, added: Float[Array, " d"]) -> BlockFactor:
+    """The factor with something added to the diagonal."""
     d, o, u, border = matrix.parts
-    from_tip = jnp.moveaxis(_heavier(d, shift), 1, 0)[::-1]
+    from_tip = jnp.moveaxis(_heavier(d, matrix.layout.gather(added)), 1, 0)[::-1]
     couplings = jnp.pad(jnp.moveaxis(o, 1, 0)[::-1], ((0, 1), (0, 0), (0, 0), (0, 0)))
 
     def towards_base(taken, given):
@@ -274,22 +279,28 @@ def _factor(matrix: BlockMatrix, shift: Array) -> BlockFactor:
     nothing = jnp.zeros_like(from_tip[0])
     _, (inverse, below) = lax.scan(towards_base, nothing, (from_tip, couplings))
     base = inverse[-1] @ u
-    left = _heavier(border, shift) - jnp.einsum("fij,fik->jk", base, base)
+    left = _heavier(border, added[matrix.layout.border]) - jnp.einsum("fij,fik->jk", base, base)
     return BlockFactor(matrix.layout, inverse, below, base, _inverse_factor(left))
 
 
-def factor_blocks(matrix: BlockMatrix) -> BlockFactor:
-    """Factor a matrix. One that is not positive definite gets more and more of its diagonal."""
+def factor_blocks(matrix: BlockMatrix, unit: Float[Array, " d"]) -> BlockFactor:
+    """Factor a matrix. One that is not positive definite gets more and more of its `ridge`.
+
+    Args:
+        matrix: to factor.
+        unit: N and N m, of each degree of freedom; zero for those that are held.
+    """
+    added = ridge(matrix.diagonal, unit)
 
     def retry(carry):
         _, shift = carry
         shift = jnp.where(shift == 0.0, 1e-8, 10.0 * shift)
-        return _factor(matrix, shift), shift
+        return _factor(matrix, shift * added), shift
 
     def indefinite(carry):
         factor, shift = carry
         bad = jnp.any(jnp.isnan(factor.inverse[:, :, -1])) | jnp.any(jnp.isnan(factor.border))
         return bad & (shift < 1e4)
 
-    start = (_factor(matrix, jnp.zeros(())), jnp.zeros(()))
+    start = (_factor(matrix, jnp.zeros_like(added)), jnp.zeros(()))
     return lax.while_loop(indefinite, retry, start)[0]

@@ -4,7 +4,7 @@ from typing import Protocol
 
 import jax.numpy as jnp
 from jax import lax
-from jax.scipy.linalg import cho_solve, lu_factor, lu_solve
+from jax.scipy.linalg import cho_solve, lu_factor, lu_solve, solve_triangular
 from jaxtyping import Array, Float
 
 from .pytree import pytree
@@ -52,29 +52,57 @@ class LU:
         return lu_solve((self.lu, self.pivots), b, trans=1)
 
 
-def sizes(diagonal: Array) -> Array:
-    """What is added to a diagonal, times more and more, for its matrix to be positive definite."""
-    size = jnp.abs(diagonal)
-    return jnp.where(size > 0.0, size, jnp.mean(size))
+@pytree
+class Triangles:
+    """P A = L U, with any diagonals: also what a Cholesky factor is."""
+
+    lower: Matrix
+    upper: Matrix
+    order: Array
+
+    def solve(self, b: Rhs) -> Rhs:
+        y = solve_triangular(self.lower, b[self.order], lower=True)
+        return solve_triangular(self.upper, y)
+
+    def solve_transposed(self, b: Rhs) -> Rhs:
+        y = solve_triangular(self.upper, b, trans=1)
+        y = solve_triangular(self.lower, y, lower=True, trans=1)
+        return jnp.zeros_like(y).at[self.order].set(y)
 
 
-def factor(matrix: Matrix, symmetric: bool) -> Factor:
-    """Factor a Newton matrix.
+def ridge(diagonal: Array, unit: Array) -> Array:
+    """What is added to a diagonal, times more and more, for its matrix to be positive definite.
 
-    Away from a minimum a symmetric matrix may be indefinite; then a growing multiple of its own
-    diagonal is added until it is positive definite, which makes the Newton step a descent
-    direction. At a stable solution nothing is added. Every degree of freedom having a share of its
-    own, it does not matter in which units positions and angles are.
+    Its mean in units of force and torque, so that it does not matter in which units positions and
+    angles are. It is alike for all positions: in proportion to the entries themselves it would
+    hold back what is stiff for what is soft.
+
+    Args:
+        diagonal: of a Newton matrix.
+        unit: N and N m, of each degree of freedom; zero for those that are not free.
+    """
+    weight = unit**2
+    free = weight > 0.0
+    share = jnp.where(free, jnp.abs(diagonal) / jnp.where(free, weight, 1.0), 0.0)
+    return weight * jnp.sum(share) / jnp.maximum(jnp.sum(free), 1)
+
+
+def factor(matrix: Matrix, symmetric: bool, unit: Array) -> Factor:
+    """Factor a Newton matrix for the iteration.
+
+    Away from a minimum a symmetric matrix may be indefinite; then a growing multiple of its
+    `ridge` is added until it is positive definite, which makes the Newton step a descent
+    direction. At a stable solution nothing is added.
     """
     if not symmetric:
         return LU(*lu_factor(matrix))
-    size = sizes(jnp.diagonal(matrix))
+    added = jnp.diag(ridge(jnp.diagonal(matrix), unit))
 
     def retry(carry):
         lower, shift = carry
         del lower
         shift = jnp.where(shift == 0.0, 1e-8, 10.0 * shift)
-        return lax.linalg.cholesky(matrix + shift * jnp.diag(size)), shift
+        return lax.linalg.cholesky(matrix + shift * added), shift
 
     def indefinite(carry):
         lower, shift = carry
@@ -82,3 +110,25 @@ def factor(matrix: Matrix, symmetric: bool) -> Factor:
 
     lower = lax.linalg.cholesky(matrix, symmetrize_input=False)
     return Cholesky(lax.while_loop(indefinite, retry, (lower, jnp.zeros(())))[0])
+
+
+def factor_as_it_is(matrix: Matrix, symmetric: bool) -> Factor:
+    """Factor a Newton matrix for derivatives, to which nothing may be added.
+
+    That of an equilibrium which is not stable is indefinite, and its derivatives are none the less
+    those of the implicit function theorem.
+    """
+    if not symmetric:
+        return LU(*lu_factor(matrix))
+    lower = lax.linalg.cholesky(matrix, symmetrize_input=False)
+    in_order = jnp.arange(len(matrix))
+
+    def definite() -> Triangles:
+        return Triangles(lower, lower.T, in_order)
+
+    def indefinite() -> Triangles:
+        both, _, order = lax.linalg.lu(matrix)
+        unit_lower = jnp.tril(both, -1) + jnp.eye(len(matrix))
+        return Triangles(unit_lower, jnp.triu(both), order.astype(in_order.dtype))
+
+    return lax.cond(jnp.isnan(lower[-1, -1]), indefinite, definite)

@@ -133,7 +133,7 @@ class Equations(Protocol):
     def reach(self, q: Dofs, direction: Dofs) -> Array: ...
 
     def factored(
-        self, q: Dofs, sizes: Dofs, free: tuple[int, ...] | None, exact: bool
+        self, q: Dofs, sizes: Dofs, unit: Dofs, free: tuple[int, ...] | None, exact: bool
     ) -> tuple[Factor, Dofs]: ...
 
 
@@ -170,7 +170,7 @@ def equilibrium(
     def renew(now: _Search) -> _Search:
         q = now.point.q
         sizes = jnp.maximum(jnp.abs(q), settings.size)
-        matrix, rounded = potential.factored(q, sizes, free, exact=False)
+        matrix, rounded = potential.factored(q, sizes, settings.force_scale, free, exact=False)
         # No residual can be smaller than what rounding the coordinates alone makes of it. That is
         # so for every equation by itself: the inertia of a head that is heavy for a short step
         # says nothing about the twist of a thin rod.
@@ -284,9 +284,8 @@ def _equilibrium_jvp(free, primals, tangents):
         if not isinstance(d_guess, SymbolicZero):
             clamped = _insert(d_guess, 0.0, free)
         _, d_gradient = push(lambda p, y: p.gradient(y), (potential, q), (d_potential, clamped))
-    solver = lax.stop_gradient(
-        potential.factored(lax.stop_gradient(q), jnp.abs(q), free, exact=True)[0]
-    )
+    here, unit = lax.stop_gradient((q, settings.force_scale))
+    solver = lax.stop_gradient(potential.factored(here, jnp.abs(here), unit, free, exact=True)[0])
 
     def stiffness(x):
         """The Newton matrix times x: never computed, but what higher derivatives go through."""

@@ -23,7 +23,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .linear import Factor, factor
+from .linear import Factor, factor, factor_as_it_is
 from .pytree import Indices, pytree, static
 from .status import Status
 
@@ -495,15 +495,21 @@ class Potential:
         return matrix
 
     def factored(
-        self, q: Dofs, sizes: Dofs, free: tuple[int, ...] | None, exact: bool
+        self, q: Dofs, sizes: Dofs, unit: Dofs, free: tuple[int, ...] | None, exact: bool
     ) -> tuple[Factor, Dofs]:
         """What solves with the Newton matrix of the free degrees of freedom at q, and the forces
-        (d,) that rounding numbers of some sizes (m and rad) makes, in units of the rounding."""
-        del exact  # a direct solution is
+        (d,) that rounding numbers of some sizes (m and rad) makes, in units of the rounding.
+
+        Forces and torques are measured in `unit` (N, N m). If `exact`, nothing is added to the
+        matrix of what is not stable.
+        """
         matrix = self.hessian(q)
         rounding = jnp.abs(matrix) @ sizes
         chosen = slice(None) if free is None else np.array(free)
-        return factor(matrix[chosen][:, chosen], self.symmetric), rounding
+        inner = matrix[chosen][:, chosen]
+        if exact:
+            return factor_as_it_is(inner, self.symmetric), rounding
+        return factor(inner, self.symmetric, unit[chosen]), rounding
 
 
 def gather(contributions: Sequence[Contribution]) -> Potential:

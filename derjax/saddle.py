@@ -156,7 +156,7 @@ class Saddle:
         return (self.free * force) @ q
 
     def factored(
-        self, z: Unknowns, sizes: Unknowns, free: None, exact: bool
+        self, z: Unknowns, sizes: Unknowns, unit: Unknowns, free: None, exact: bool
     ) -> tuple["SaddleFactor", Unknowns]:
         """What solves with the Newton matrix at z, and what rounding makes of its forces.
 
@@ -181,7 +181,7 @@ class Saddle:
             matrices,
             diagonal,
             law if exact else law.coarse,
-            factor_blocks(rough),
+            factor_blocks(rough, self.free * self.split(unit)[0]),
             exact,
         )
         # In the second equation every place is felt everywhere.

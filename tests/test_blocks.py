@@ -93,7 +93,7 @@ def test_rods_couple_neighbours_only_so_that_the_factor_is_exact(name, rng):
     def there_and_back(x: jax.Array) -> jax.Array:
         saddle = saddle_of(scene, state)
         z = saddle.start(state.q)
-        factor, _ = saddle.factored(z, jnp.abs(z), None, exact=True)
+        factor, _ = saddle.factored(z, jnp.abs(z), saddle.scales, None, exact=True)
         return factor.near.solve(multiply(factor.matrices, x) + factor.diagonal * x)
 
     x = free * rng.standard_normal(state.q.size)
@@ -177,7 +177,7 @@ def test_linear_systems_are_solved_both_ways(name, rng):
     def check(state: State, c: jax.Array) -> tuple[jax.Array, jax.Array]:
         saddle = saddle_of(scene, state)
         z = saddle.start(state.q)
-        factor, _ = saddle.factored(z, jnp.abs(z), None, exact=True)
+        factor, _ = saddle.factored(z, jnp.abs(z), saddle.scales, None, exact=True)
         _, product = jax.jvp(saddle.gradient, (z,), (factor.solve(c),))
         _, transpose = jax.vjp(saddle.gradient, z)
         (transposed,) = transpose(factor.solve_transposed(c))

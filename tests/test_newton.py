@@ -1,0 +1,52 @@
+"""Newton's method: where there is no minimum, and in which units residuals are measured."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from derjax.newton import NewtonSettings, equilibrium
+from derjax.potential import Autodiff, Elements, gather
+from derjax.pytree import Indices
+from derjax.status import Status
+
+PAIR = Indices(np.array([[0, 1]]))
+
+
+def double_well(x: jax.Array, data: jax.Array) -> jax.Array:
+    """Two wells at x = -1 and 1 along the first coordinate, tilted by a force; a spring."""
+    tilt, size = data
+    u, v = x[0], x[1] / size
+    return u**4 / 4 - u**2 / 2 - tilt * u + 2.0 * (v - u) ** 2
+
+
+def found(guess: jax.Array, tilt: jax.Array | float, size: float = 1.0) -> tuple[jax.Array, jax.Array]:
+    """Where the equilibrium is, and its status and iterations."""
+    data = jnp.array([[tilt, size]])
+    potential = gather([Elements(PAIR, Autodiff(double_well), data)])
+    settings = NewtonSettings(jnp.asarray(1e-10), jnp.array([1.0, 1.0 / size]))
+    q, info = equilibrium(potential, guess * jnp.array([1.0, size]), settings, None)
+    return q, jnp.stack([info.status, info.iterations])
+
+
+@pytest.mark.parametrize("derivative", [jax.jacfwd, jax.jacrev])
+@pytest.mark.parametrize("start", [0.0, 1.0])
+def test_an_unstable_equilibrium_has_its_own_derivative(derivative, start):
+    """By the implicit function theorem, at the top between the wells and at the bottom of one.
+
+    There the spring is not stretched and (3 u^2 - 1) du = d tilt.
+    """
+    guess = jnp.full(2, start)
+    slope, status = jax.jit(derivative(lambda tilt: found(guess, tilt)[0])), found(guess, 0.0)[1]
+    assert status[0] == Status.OK
+    np.testing.assert_allclose(slope(0.0), np.full(2, 1.0 / (3.0 * start**2 - 1.0)), rtol=1e-12)
+
+
+def test_the_way_down_from_a_hill_does_not_depend_on_units():
+    """From where the matrix is indefinite, with the second coordinate in m, mm and km."""
+    guess = jnp.array([0.1, 0.05])
+    ways = [found(guess, 0.0, size) for size in (1.0, 1e3, 1e-3)]
+    for size, (q, count) in zip((1.0, 1e3, 1e-3), ways, strict=True):
+        np.testing.assert_allclose(q, [1.0, size], rtol=1e-9)
+        assert count[0] == Status.OK
+        assert count[1] == ways[0][1][1]
