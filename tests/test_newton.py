@@ -20,7 +20,9 @@ def double_well(x: jax.Array, data: jax.Array) -> jax.Array:
     return u**4 / 4 - u**2 / 2 - tilt * u + 2.0 * (v - u) ** 2
 
 
-def found(guess: jax.Array, tilt: jax.Array | float, size: float = 1.0) -> tuple[jax.Array, jax.Array]:
+def found(
+    guess: jax.Array, tilt: jax.Array | float, size: float = 1.0
+) -> tuple[jax.Array, jax.Array]:
     """Where the equilibrium is, and its status and iterations."""
     data = jnp.array([[tilt, size]])
     potential = gather([Elements(PAIR, Autodiff(double_well), data)])
