@@ -87,6 +87,15 @@ def ridge(diagonal: Array, unit: Array) -> Array:
     return weight * jnp.sum(share) / jnp.maximum(jnp.sum(free), 1)
 
 
+def _with_idle(matrix: Matrix) -> Matrix:
+    """The matrix with ones for degrees of freedom that nothing acts on: they stay where they are.
+
+    The angles of rods that do not resist twist are such.
+    """
+    idle = ~jnp.any(matrix != 0.0, axis=1)
+    return matrix + jnp.diag(idle.astype(matrix.dtype))
+
+
 def factor(matrix: Matrix, symmetric: bool, unit: Array) -> Factor:
     """Factor a Newton matrix for the iteration.
 
@@ -97,6 +106,7 @@ def factor(matrix: Matrix, symmetric: bool, unit: Array) -> Factor:
     if not symmetric:
         return LU(*lu_factor(matrix))
     added = jnp.diag(ridge(jnp.diagonal(matrix), unit))
+    matrix = _with_idle(matrix)
 
     def retry(carry):
         lower, shift = carry
@@ -120,6 +130,7 @@ def factor_as_it_is(matrix: Matrix, symmetric: bool) -> Factor:
     """
     if not symmetric:
         return LU(*lu_factor(matrix))
+    matrix = _with_idle(matrix)
     lower = lax.linalg.cholesky(matrix, symmetrize_input=False)
     in_order = jnp.arange(len(matrix))
 

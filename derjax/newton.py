@@ -284,8 +284,8 @@ def _equilibrium_jvp(free, primals, tangents):
         if not isinstance(d_guess, SymbolicZero):
             clamped = _insert(d_guess, 0.0, free)
         _, d_gradient = push(lambda p, y: p.gradient(y), (potential, q), (d_potential, clamped))
-    here, unit = lax.stop_gradient((q, settings.force_scale))
-    solver = lax.stop_gradient(potential.factored(here, jnp.abs(here), unit, free, exact=True)[0])
+    still, here, unit = lax.stop_gradient((potential, q, settings.force_scale))
+    solver, _ = still.factored(here, jnp.abs(here), unit, free, exact=True)
 
     def stiffness(x):
         """The Newton matrix times x: never computed, but what higher derivatives go through."""
