@@ -186,6 +186,8 @@ class Conclusion:
         said += [f"Likely cause: {cause.sentence}." for cause in self.causes]
         if said:
             said.append("The error bars above assume that the model is right; do not rely on them.")
+        if remark := self.goodness.remark():
+            said.append(remark)
         for other in self.alternatives:
             values = ", ".join(f"{name} = {value:.4g}" for name, value in other.values.items())
             said.append(

@@ -66,7 +66,9 @@ class Goodness:
         relative_rms: root mean square of the residuals of positions over the robot's length.
         inflation: by what error bars are larger than independent noise of the size that was given
             or found would make them.
-        findings: sentences, empty if nothing is wrong.
+        findings: sentences on what residuals are beside noise, empty if nothing is wrong.
+        exaggeration: how many times the noise that was given is larger than the residuals; 1 if
+            chance explains the difference.
     """
 
     chi2: float | None
@@ -76,6 +78,7 @@ class Goodness:
     relative_rms: float | None
     inflation: float
     findings: tuple[str, ...]
+    exaggeration: float = 1.0
 
     @property
     def good(self) -> bool:
@@ -90,6 +93,15 @@ class Goodness:
         chance = "their order is that of chance" if self.orders else ""
         said = " and ".join(part for part in (known, chance) if part)
         return f"The simulation describes the tracks: {said}." if said else ""
+
+    def remark(self) -> str:
+        """What the residuals say of the noise that was given, in words; empty if it is right."""
+        if self.exaggeration == 1.0:
+            return ""
+        return (
+            f"The noise that was given is about {self.exaggeration:.2g} times larger than the "
+            "residuals: sigma or sigma_angle is too large, and so are the errors."
+        )
 
 
 def goodness(
@@ -110,7 +122,7 @@ def goodness(
     chi2 = p_value = None
     given = np.isfinite(residuals.sigma)
     count = max(1, int(given.sum()) - (residuals.degrees_lost if given.all() else 0))
-    scale = 1.0
+    scale = exaggeration = 1.0
     if given.any():
         chi2 = float(np.sum((residuals.value[given] / residuals.sigma[given]) ** 2))
         p_value = float(stats.chi2.sf(chi2, count))
@@ -121,10 +133,7 @@ def goodness(
                 f"degrees of freedom, that is {scale:.2g} times the noise)"
             )
         elif stats.chi2.cdf(chi2, count) < UNLIKELY:
-            findings.append(
-                f"residuals are far smaller than the noise that was given (chi^2 = {chi2:.4g} for "
-                f"{count} degrees of freedom): sigma or sigma_angle is too large"
-            )
+            exaggeration = float(np.sqrt(count) / np.sqrt(max(chi2, np.finfo(float).tiny)))
     orders = tuple(
         order(run, column, value[:, column])
         for run, value in zip(runs, values, strict=True)
@@ -153,6 +162,7 @@ def goodness(
         relative_rms=relative,
         inflation=scale * float(np.sqrt((1 + memory) / (1 - memory))),
         findings=tuple(findings),
+        exaggeration=exaggeration,
     )
 
 

@@ -52,6 +52,7 @@ def as_dict(fit: Fit) -> dict[str, Any]:
             "p_value": fit.goodness.p_value,
             "rms_over_robot_length": fit.goodness.relative_rms,
             "error_bars_inflated_by": fit.goodness.inflation,
+            "noise_given_over_residuals": fit.goodness.exaggeration,
             "order_of_residuals": [dataclasses.asdict(one) for one in fit.goodness.orders],
         },
         "likely_causes": [dataclasses.asdict(cause) for cause in fit.causes],

@@ -94,6 +94,19 @@ sigma_angle = 0.02
 """
 
 
+def test_noise_that_is_given_too_large_is_one_sentence(seen, tmp_path, monkeypatch) -> None:
+    monkeypatch.delattr("fitting.causes._tried")
+    large = ALL.replace("= 0.1", "= 1.0").replace("= 0.02", "= 0.2")
+    channels = dict(zip(("x", "y", "z", "th"), seen.T, strict=True))
+    content = fitted(tmp_path, table_of({"t": TIMES, **channels}), large)
+    assert_found(content, "C_r")
+    assert content["goodness"]["good"]
+    said = [w for w in content["warnings"] if "times larger than the residuals" in w]
+    assert len(said) == 1
+    assert "about 10 times" in said[0]
+    assert not any("do not rely on them" in w for w in content["warnings"])
+
+
 @pytest.fixture(scope="module")
 def drifting(seen) -> str:
     """The table of a robot in a tank that flows."""

@@ -55,9 +55,15 @@ def test_noise_larger_than_given() -> None:
 
 
 def test_noise_far_smaller_than_given() -> None:
+    """That is no misfit: nothing is wrong but the noise that was given."""
     one = judged(0.2 * noise(1), 1e-4, 0.02)
-    assert "sigma or sigma_angle is too large" in one.findings[0]
+    assert one.good
+    assert one.exaggeration == pytest.approx(5.0, rel=0.2)
+    assert "times larger than the residuals" in one.remark()
+    assert "sigma or sigma_angle is too large" in one.remark()
     assert one.inflation == 1.0
+    assert judged(noise(1), 1e-4, 0.02).remark() == ""
+    assert judged(0 * noise(1), 1e-4, 0.02).exaggeration > 1e6
 
 
 def test_a_slow_swing_is_no_noise() -> None:
