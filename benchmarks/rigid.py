@@ -6,7 +6,8 @@ from jaxtyping import Array, Float
 
 from derjax import at_rest, chain
 from derjax.potential import gather
-from derjax.terms import Interval, ResistiveDrag, StokesletSegments
+from derjax.terms import ResistiveDrag, Stage, StokesletSegments
+from derjax.terms.term import contributions
 
 
 def rigid_motions(nodes: Float[Array, "n 3"]) -> Float[Array, "3n 6"]:
@@ -63,8 +64,8 @@ def resistive_resistance(
     n = len(nodes)
     rod, state = at_rest(chain(n, filaments=(tuple(range(n)),)), nodes)
     term = ResistiveDrag(jnp.asarray(parallel), jnp.asarray(normal))
-    second = Interval(jnp.ones(()), jnp.zeros(0))
-    return gather([term.contribution(rod, state, second)]).hessian(state.q)[: 3 * n, : 3 * n]
+    second = Stage(jnp.ones(()), jnp.ones(()), jnp.zeros(0))
+    return gather(contributions([term], rod, state, second)).hessian(state.q)[: 3 * n, : 3 * n]
 
 
 def propulsion(matrix: Float[Array, "6 6"]) -> dict[str, float]:

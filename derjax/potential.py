@@ -99,7 +99,7 @@ class Form:
 
     @classmethod
     def together(cls, parts: Sequence[tuple["Form", Any]]) -> tuple["Form", Any]:
-        """Every drag of an interval is measured from the same origin."""
+        """Every drag of a stage is measured from the same origin."""
         origin = parts[0][1][0]
         return cls(), (origin, jnp.asarray(sum(a for _, (_, a) in parts)))
 

@@ -53,7 +53,7 @@ Unknowns = Float[Array, " d+m"]
 
 @pytree
 class Saddle:
-    """The equations of an interval, for the unknowns (q, f); see the module.
+    """The equations of a stage, for the unknowns (q, f); see the module.
 
     The second equation is multiplied with a typical resistance over l, which makes forces of it.
 

@@ -24,6 +24,7 @@ from .schemes.corrected import corrected
 from .schemes.euler import euler
 from .schemes.trbdf2 import trbdf2
 from .shape import body_of, touching_pairs
+from .status import SolverError
 from .step import Scene, Step
 from .terms.bend import Bend
 from .terms.block_stokeslets import BlockStokeslets
@@ -113,9 +114,18 @@ def _check_numbers(scene: SceneFile, given: Parameters) -> None:
 
 
 def enlarge(scene: Scene) -> Scene:
-    """The scene with room for twice as many contacts at one time."""
-    terms = [t.enlarged() if isinstance(t, Contact | Friction) else t for t in scene.terms]
-    return replace(scene, terms=tuple(terms))
+    """The scene with room for twice as many contacts at one time.
+
+    Raises:
+        SolverError: no term has a list that could be longer.
+    """
+    terms = tuple(term.enlarged() for term in scene.terms)
+    if jax.tree.structure(terms) == jax.tree.structure(scene.terms):
+        names = ", ".join(type(term).__name__ for term in scene.terms)
+        raise SolverError(
+            f"a list of fixed length is full, and none of the terms can have a longer one: {names}"
+        )
+    return replace(scene, terms=terms)
 
 
 @partial(jax.jit, static_argnums=(0, 1))  # as one program: quicker than operation by operation
@@ -177,10 +187,9 @@ def _terms(
     if fluid.spin_drag:
         terms.append(SpinDrag(4 * jnp.pi * p["viscosity"] * radius**2))
     if pairs is not None and scene.contact_method == "smooth":
-        contact = _contact(scene, p, rod, pairs)
-        terms.append(contact)
+        terms.append(_contact(scene, p, rod, pairs))
         if scene.friction is not None and scene.rubbing:
-            terms.append(Friction(contact, p["friction"], _slip_speed(scene.friction, p)))
+            terms.append(Friction(p["friction"], _slip_speed(scene.friction, p)))
     if pairs is not None and scene.contact_method == "spillmann_teschner":
         mass = _mass(scene, p, rod)
         nodes = mass[: 3 * topology.n_nodes : 3]

@@ -1,6 +1,6 @@
-"""What every scheme of integration in time is made of: intervals of implicit Euler.
+"""What every scheme of integration in time is made of: stages of implicit Euler.
 
-In an interval of length l that starts from an origin q~ and a velocity v~, the end q makes the
+In a stage of length l that starts from an origin q~ and a velocity v~, the end q makes the
 incremental potential
 
     P(q) = E(q) + l Phi((q - q~)/l; q_m) + |q - q~ - l v~|^2_M / (2 l^2) - f . q
@@ -14,6 +14,7 @@ which is that where the rod is expected to be.
 from collections.abc import Callable
 from dataclasses import field
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -26,10 +27,10 @@ from .newton import NewtonInfo, NewtonSettings, equilibrium
 from .potential import Dofs, Mobility, Potential, gather
 from .provenance import CheckSums
 from .pytree import pytree, replace, static
-from .rod import Rod, State, carry_frames
+from .rod import Rod, State, carry_frames, positions, tangents
 from .saddle import Saddle, no_drag
 from .status import Status
-from .terms.term import Interval, Outlook, Term
+from .terms.term import Prediction, Stage, Term, contributions
 
 
 @pytree
@@ -106,14 +107,44 @@ def expected_move(scene: Scene, state: State, ahead: Array) -> Dofs:
     return ahead * expected_velocity(scene, state, 0.5 * ahead)
 
 
-def prepare(scene: Scene, state: State, ahead: Array, length: Array) -> tuple[Term, ...]:
-    """The terms for an interval of a step of some length (s) from `state`.
+def predict(scene: Scene, state: State, ahead: Array, length: Array) -> Prediction:
+    """What the terms are told before a step of some length (s) from `state`.
 
     Drag is that of the configuration some time (s) ahead.
     """
     configuration = state.q + expected_move(scene, state, ahead)
-    outlook = Outlook(configuration, expected_move(scene, state, length))
-    return tuple(term.prepared(scene.rod, state, outlook) for term in scene.terms)
+    return Prediction(configuration, expected_move(scene, state, length), scene.terms)
+
+
+def fluid_velocity(scene: Scene, q: Dofs, time: Array) -> Dofs | None:
+    """The velocity (m/s) of the fluid at every node and its spin (rad/s) about every edge.
+
+    None if no term makes the fluid flow.
+
+    Args:
+        scene: whose terms.
+        q: (d,) m and rad, where the rod is.
+        time: s.
+    """
+    topology = scene.rod.topology
+
+    def parts(x: Array) -> list[Array]:
+        each = (term.fluid_velocity(x, time) for term in scene.terms)
+        return [velocity for velocity in each if velocity is not None]
+
+    def flow(x: Array) -> Array:
+        return jnp.asarray(sum(parts(x)))
+
+    nodes = positions(topology, q)
+    if not parts(nodes[0]):
+        return None
+    start, end = topology.edge_nodes.T
+    gradient = jax.vmap(jax.jacfwd(flow))(0.5 * (nodes[start] + nodes[end]))
+    vorticity = jnp.stack(
+        [gradient[:, k, j] - gradient[:, j, k] for j, k in ((1, 2), (2, 0), (0, 1))], axis=1
+    )
+    spin = 0.5 * jnp.sum(vorticity * tangents(topology, nodes), axis=1)
+    return jnp.concatenate([jax.vmap(flow)(nodes).ravel(), spin])
 
 
 def turned(scene: Scene, state: State, length: Array) -> Float[Array, " k"]:
@@ -125,32 +156,32 @@ def turned(scene: Scene, state: State, length: Array) -> Float[Array, " k"]:
 
 def solve(
     scene: Scene,
-    terms: tuple[Term, ...],
+    prediction: Prediction,
     state: State,
-    interval: Interval,
+    stage: Stage,
     turn: Float[Array, " k"],
     move: Dofs,
 ) -> tuple[Dofs, NewtonInfo]:
-    """The end of an interval of the step that starts at `state`.
+    """The end of a stage of the step that starts at `state`.
 
     Differentiable in forward and reverse mode. A failure gives the best iterate and a status.
 
     Args:
         scene: whose rod and solver.
-        terms: prepared for the step.
+        prediction: for the step.
         state: at the start of the step.
-        interval: what to solve.
+        stage: what to solve.
         turn: rad, by which the motors have turned at its end.
-        move: (d,) m and rad, expected from the start of the step to the end of the interval.
+        move: (d,) m and rad, expected from the start of the step to the end of the stage.
 
     Raises:
         TypeError: a term answers with something that is no contribution.
         ValueError: a term answers with one that the scene's solver does not take.
     """
     topology = scene.rod.topology
-    contributions = [t.contribution(scene.rod, state, interval) for t in terms]
-    mobilities = [c for c in contributions if isinstance(c, Mobility)]
-    potential = gather([c for c in contributions if not isinstance(c, Mobility)])
+    parts = contributions(scene.terms, scene.rod, state, stage, prediction)
+    mobilities = [c for c in parts if isinstance(c, Mobility)]
+    potential = gather([c for c in parts if not isinstance(c, Mobility)])
     if potential.guards:
         move = potential.reach(state.q, move) * move
     guess = state.q + move
@@ -206,7 +237,7 @@ def _only_mobility(layout: Layout, mobilities: list[Mobility]) -> Mobility:
 def _in_blocks(
     scene: Scene, layout: Layout, potential: Potential, drag: Mobility, guess: Dofs
 ) -> tuple[Dofs, NewtonInfo]:
-    """The end of an interval of a large robot."""
+    """The end of a stage of a large robot."""
     topology = scene.rod.topology
     if layout.topology != topology:
         raise ValueError("scene.layout is that of another robot: it must have scene.rod.topology")

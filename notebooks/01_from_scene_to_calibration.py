@@ -41,7 +41,8 @@ from IPython.display import display
 from derjax import SceneFile, angles, build, load_scene, plots, positions, rollout, summary
 from derjax.potential import gather
 from derjax.runtime import enable_compilation_cache
-from derjax.terms import Interval
+from derjax.terms import Stage
+from derjax.terms.term import contributions
 from derjax.trajectory import to_dataset
 from fitting import calibrate, load_dataset
 from fitting.report import figure as fit_figure
@@ -112,12 +113,13 @@ print(f"{topology.n_nodes} nodes, {topology.n_edges} edges, {topology.n_dofs} de
 
 # %%
 h = scene.step_length
-interval = Interval(h, start.motor_angle + scene.motor.turned(start.time, start.time + h))
+end = start.time + h
+stage = Stage(h, end, start.motor_angle + scene.motor.turned(start.time, end))
 
 
 def step_potential(state):
     """The incremental potential of the step that starts in `state`."""
-    return gather([term.contribution(scene.rod, state, interval) for term in scene.terms])
+    return gather(contributions(scene.terms, scene.rod, state, stage))
 
 
 @jax.jit

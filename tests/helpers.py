@@ -11,10 +11,11 @@ from jaxtyping import Array, Float
 from derjax import Rod, Scene, State, Topology, at_rest, chain
 from derjax.newton import NewtonInfo
 from derjax.potential import Potential, gather
-from derjax.pytree import replace
+from derjax.pytree import pytree, replace
 from derjax.rod import carry_frames
-from derjax.step import prepare
-from derjax.terms import Bend, Gravity, Interval, Stretch, Term, Twist
+from derjax.step import predict
+from derjax.terms import Bend, Gravity, Stage, Stretch, Term, Twist
+from derjax.terms.term import contributions
 
 EI = 1.0
 GJ = 0.7
@@ -70,8 +71,18 @@ def potential(
     rod: Rod, state: State, terms: tuple[Term, ...], step: float | Array = 1.0
 ) -> Potential:
     """The incremental potential of a step of length `step` (s) without motion of the motors."""
-    interval = Interval(jnp.asarray(step), state.motor_angle)
-    return gather([term.contribution(rod, state, interval) for term in terms])
+    return gather(contributions(terms, rod, state, stage_from(state, step)))
+
+
+def stage_from(state: State, length: float | Array) -> Stage:
+    """A step of implicit Euler of some length (s) in which the motors stand still."""
+    length = jnp.asarray(length)
+    return Stage(length, state.time + length, state.motor_angle)
+
+
+def share(term: Term, rod: Rod, state: State, length: float | Array) -> Any:
+    """What one term contributes to a step of some length (s) in which the rod stands still."""
+    return contributions([term], rod, state, stage_from(state, length))[0]
 
 
 def advance(scene: Scene, state: State) -> tuple[State, NewtonInfo]:
@@ -80,12 +91,24 @@ def advance(scene: Scene, state: State) -> tuple[State, NewtonInfo]:
     return step.state, step.info
 
 
+@pytree
+class Prepared(Term):
+    """A term with what it has prepared for one step."""
+
+    term: Term
+    cache: Any
+
+    def contribution(self, rod: Rod, state: State, stage: Stage, cache: Any) -> Any:
+        return self.term.contribution(rod, state, stage, self.cache)
+
+
 def acting(scene: Scene, state: State, kind: type) -> tuple[Term, ...]:
     """The one term of some kind, as it acts in a step of implicit Euler from `state`."""
     terms = tuple(term for term in scene.terms if isinstance(term, kind))
     assert len(terms) == 1
     h = scene.step_length
-    return prepare(replace(scene, terms=terms), state, 0.5 * h, h)
+    found = predict(replace(scene, terms=terms), state, 0.5 * h, h)
+    return tuple(Prepared(term, found.cache(term, scene.rod, state)) for term in terms)
 
 
 @jax.jit

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import finite_difference_jvp, perturbed
+from helpers import finite_difference_jvp, perturbed, share, stage_from
 
 from derjax import Scene, SceneFile, State, build, march, positions, rollout
 from derjax import neighbours as neighbourhood
@@ -16,10 +16,11 @@ from derjax.pytree import Indices, replace
 from derjax.rollout import new_report
 from derjax.saddle import Saddle, no_drag
 from derjax.status import Status
-from derjax.step import prepare
-from derjax.terms import Interval, StokesletSegments
+from derjax.step import predict
+from derjax.terms import StokesletSegments
 from derjax.terms.block_stokeslets import BlockStokeslets, block_mobility
 from derjax.terms.stokeslets import mobility
+from derjax.terms.term import contributions
 
 BLOCK = 4
 ROBOTS: dict[str, dict[str, Any]] = {
@@ -54,8 +55,8 @@ def saddle_of(scene: Scene, state: State) -> Saddle:
     """The equations of a step of implicit Euler from a state."""
     h, topology = scene.step_length, scene.rod.topology
     assert scene.layout is not None
-    terms = prepare(scene, state, h, h)
-    parts = [t.contribution(scene.rod, state, Interval(h, state.motor_angle)) for t in terms]
+    prediction = predict(scene, state, h, h)
+    parts = contributions(scene.terms, scene.rod, state, stage_from(state, h), prediction)
     drag = next((c for c in parts if isinstance(c, Mobility)), None)
     free = np.ones(topology.n_dofs)
     free[list(topology.clamped)] = 0.0
@@ -112,8 +113,7 @@ def test_the_mobility_is_that_of_the_whole_robot(name, rng):
 
     @jax.jit
     def products(f: jax.Array, g: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        interval = Interval(scene.step_length, state.motor_angle)
-        law = drag.contribution(scene.rod, state, interval).law
+        law = share(drag, scene.rod, state, scene.step_length).law
         a = mobility(paths, drag.viscosity, drag.regularization, drag.end_nodes)
         inverse = jnp.linalg.inv(a)
         return law.apply(f), law.apply(g), jnp.linalg.solve(0.5 * (inverse + inverse.T), f)
@@ -142,8 +142,7 @@ def test_the_coarse_mobility_is_symmetric_and_close(large, rng):
 
     @jax.jit
     def products(f: jax.Array, g: jax.Array) -> tuple[jax.Array, ...]:
-        interval = Interval(scene.step_length, state.motor_angle)
-        law = drag.contribution(scene.rod, state, interval).law
+        law = share(drag, scene.rod, state, scene.step_length).law
         return law.apply(f), law.coarse.apply(f), law.coarse.apply(g)
 
     uniform = np.tile([1.0, -0.5, 0.3], scene.rod.topology.n_nodes)

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import advance, elasticity, expand, held_dofs, order, rest, rotation
+from helpers import advance, elasticity, expand, held_dofs, order, potential, rest, rotation, share
 
 from derjax import Scene, State, Topology, positions, rollout
 from derjax.neighbours import Neighbours, pairs_apart, search
@@ -21,7 +21,7 @@ from derjax.pytree import replace
 from derjax.schemes.euler import euler
 from derjax.segments import distance
 from derjax.status import Status
-from derjax.terms import Gravity, Inertia, Interval, Term
+from derjax.terms import Gravity, Inertia, Term
 from derjax.terms.contact import RAMP, SOFTNESS, Contact, Repulsion, Touch, energy, force, meeting
 
 N = 5
@@ -228,10 +228,7 @@ def contact_of(scene: Scene) -> Contact:
 @jax.jit
 def contact_forces(scene: Scene, state: State) -> tuple[jax.Array, jax.Array]:
     """(n, 3) force on each node, N, and the energy of all contacts, J."""
-    interval = Interval(scene.step_length, state.motor_angle)
-    pairs = contact_of(scene).contribution(
-        scene.rod, replace(state, velocity=0 * state.q), interval
-    )
+    pairs = share(contact_of(scene), scene.rod, state, scene.step_length)
     return -positions(scene.rod.topology, pairs.gradient(state.q)), pairs.value(state.q)
 
 
@@ -476,8 +473,7 @@ def test_parallel_rods_pressed_along_their_whole_length(tilt, slide):
 def sliding_energy(shifts: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Energy of two parallel rods that touch, its slope and curvature as one slides."""
     scene, state = free_rods(placed(0.993 * DIAMETER, 0.0))
-    interval = Interval(scene.step_length, state.motor_angle)
-    pairs: Pairs = contact_of(scene).contribution(scene.rod, state, interval)
+    pairs: Pairs = share(contact_of(scene), scene.rod, state, scene.step_length)
     along = jnp.zeros_like(state.q).at[3 * SECOND].set(1.0)
 
     def at(shift):
@@ -516,9 +512,7 @@ def stored(scene: Scene, states: State) -> jax.Array:
     """Elastic energy and that of contacts in every one of the states, J."""
 
     def of(state):
-        interval = Interval(scene.step_length, state.motor_angle)
-        elastic = [t.contribution(scene.rod, state, interval) for t in scene.terms[:3]]
-        bodies = sum(e.value(state.q) for e in elastic)
+        bodies = potential(scene.rod, state, scene.terms[:3]).value(state.q)
         return bodies + contact_forces(scene, state)[1]
 
     return jax.vmap(of)(states)

@@ -32,7 +32,7 @@ from derjax.pytree import Indices, pytree, replace
 from derjax.rod import Rod, State
 from derjax.status import Status
 from derjax.step import Scene
-from derjax.terms import Interval, Lagged, SpillmannTeschner, Term
+from derjax.terms import Lagged, SpillmannTeschner, Stage, Term
 from derjax.terms.block_stokeslets import BlockStokeslets
 
 BLOCK = 4
@@ -116,7 +116,7 @@ class Own(Term):
             return Load(jnp.zeros_like(state.q).at[n - 2].set(k))
         return Chain(k, state.q)
 
-    def contribution(self, rod: Rod, state: State, interval: Interval) -> Contribution:
+    def contribution(self, rod: Rod, state: State, stage: Stage, cache: Any) -> Contribution:
         raise NotImplementedError
 
 
@@ -125,7 +125,7 @@ def own_term(kind: str, strength: jax.Array) -> Term:
 
     @pytree
     class One(Own):
-        def contribution(self, rod: Rod, state: State, interval: Interval) -> Contribution:
+        def contribution(self, rod: Rod, state: State, stage: Stage, cache: Any) -> Contribution:
             return self.of(kind, rod, state)
 
     return One(strength)
@@ -201,7 +201,7 @@ class Answer(Term):
 
     answer: Any
 
-    def contribution(self, rod: Rod, state: State, interval: Interval) -> Any:
+    def contribution(self, rod: Rod, state: State, stage: Stage, cache: Any) -> Any:
         return self.answer
 
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import advance, at_speed, elasticity, held_dofs, rest, rotation
+from helpers import advance, at_speed, elasticity, held_dofs, rest, rotation, share
 
 from derjax import Scene, State, Topology, positions, rollout
 from derjax.newton import NewtonSettings
@@ -14,7 +14,7 @@ from derjax.pytree import Indices, replace
 from derjax.rod import tangents
 from derjax.schemes.euler import euler
 from derjax.status import Status
-from derjax.terms import Contact, Friction, Gravity, Inertia, Interval, Stretch
+from derjax.terms import Contact, Friction, Gravity, Inertia, Stretch
 from derjax.terms.contact import RAMP, SOFTNESS
 from derjax.terms.friction import Rubbing, Sliding, slip
 
@@ -176,7 +176,7 @@ def on_a_slope(tangent: float, above: float = 0.0) -> tuple[Scene, State]:
         Inertia(jnp.concatenate([jnp.repeat(jnp.asarray(BLOCK), 3), polar])),
         Gravity(jnp.asarray(BLOCK), jnp.array([np.sin(angle), 0.0, -np.cos(angle)])),
         contact,
-        Friction(contact, jnp.asarray(MU), jnp.asarray(SLIP_SPEED)),
+        Friction(jnp.asarray(MU), jnp.asarray(SLIP_SPEED)),
     )
     settings = NewtonSettings(jnp.asarray(1e-8), jnp.ones(RAILS.n_dofs))
     return Scene(rod, terms, None, settings, jnp.asarray(STEP), euler), state
@@ -195,7 +195,7 @@ def slide(scene: Scene, state: State, mu: Any) -> tuple[jax.Array, jax.Array, ja
     scene = with_friction(scene, mu)
     states, report = rollout(scene, state, 1, STEPS)
     last = jax.tree.map(lambda x: x[-1], states)
-    pairs = scene.terms[3].contribution(scene.rod, last, Interval(scene.step_length, jnp.zeros(0)))
+    pairs = share(scene.terms[3], scene.rod, last, scene.step_length)
     push = -positions(RAILS, pairs.gradient(last.q))[4:, 2].sum()
     x, v = positions(RAILS, last.q), positions(RAILS, last.velocity)
     return 0.5 * (x[4, 0] + x[5, 0]), 0.5 * (v[4, 0] + v[5, 0]), push, report
@@ -294,6 +294,24 @@ def soon(scene: Scene, state: State) -> jax.Array:
 gradient_of_slide = jax.jit(jax.grad(soon, allow_int=True))
 
 
+def test_the_stiffness_of_contact_is_one_number():
+    """Its derivative is all of it: friction asks the contact, and keeps no copy."""
+    scene, state = on_a_slope(0.8)
+    *before, contact, friction = scene.terms
+    assert isinstance(contact, Contact)
+    gradient = gradient_of_slide(scene, state).terms[-2].stiffness
+    ends = []
+    for factor in (0.999, 1.001):
+        other = replace(contact, stiffness=factor * contact.stiffness)
+        ends.append(float(soon_jitted(replace(scene, terms=(*before, other, friction)), state)))
+    assert float(contact.stiffness * gradient) == pytest.approx(
+        (ends[1] - ends[0]) / 2e-3, rel=1e-4
+    )
+
+
+soon_jitted = jax.jit(soon)
+
+
 @jax.jit
 def slope_of_slide(scene: Scene, state: State, mu: Any) -> jax.Array:
     """By the coefficient of friction, in forward mode."""
@@ -368,7 +386,7 @@ def pulled(nodes: np.ndarray, mu: float, ei: float, strides: np.ndarray) -> dict
         *elasticity(rod, EA, ei, ei),
         Gravity(jnp.zeros(N_NODES).at[FIRST].set(LOAD), jnp.asarray(behind)),
         contact,
-        Friction(contact, jnp.asarray(mu), jnp.asarray(slip_speed)),
+        Friction(jnp.asarray(mu), jnp.asarray(slip_speed)),
     )
     settings = NewtonSettings(jnp.asarray(1e-8), jnp.ones(CAPSTAN.n_dofs))
     scene = Scene(rod, terms, None, settings, jnp.ones(()), euler)
@@ -400,7 +418,7 @@ def pressing(scene: Scene, state: State) -> jax.Array:
     """The sum of all normal forces, N."""
     contact = scene.terms[-2]
     assert isinstance(contact, Contact)
-    pairs = contact.contribution(scene.rod, state, Interval(scene.step_length, jnp.zeros(0)))
+    pairs = share(contact, scene.rod, state, scene.step_length)
     local = jax.vmap(pairs.potential.gradient)(state.q[pairs.dofs], pairs.data)
     force = jnp.where(pairs.taken[:, None], local, 0.0)[:, :6].reshape(-1, 2, 3).sum(axis=1)
     return jnp.sum(jnp.sqrt(jnp.sum(force**2, axis=1)))

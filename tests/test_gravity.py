@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import share
 
 from derjax import Scene, SceneFile, State, build, march, positions
 from derjax.status import Status
@@ -57,7 +58,7 @@ def masses(scene: Scene, file: SceneFile) -> tuple[float, float]:
 def test_all_forces_are_the_weight_less_that_of_the_fluid(kind, head):
     file = robot(head, kind, time={"step": 0.01, "end": 0.1})
     scene, state = build(file)
-    load = of_kind(scene, Gravity).contribution(scene.rod, state, None)
+    load = share(of_kind(scene, Gravity), scene.rod, state, file.step)
     n = 3 * scene.rod.topology.n_nodes
     mass, displaced = masses(scene, file)
     force = np.asarray(load.force[:n]).reshape(-1, 3).sum(axis=0)

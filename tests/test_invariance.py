@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import carry, elasticity, perturbed, potential, rest, rotation
+from helpers import carry, elasticity, perturbed, potential, rest, rotation, share
 
 from derjax import State, Topology, angles, chain, positions
 from derjax.potential import gather
@@ -17,7 +17,6 @@ from derjax.terms import (
     Gravity,
     HeadDrag,
     Inertia,
-    Interval,
     Lagged,
     ResistiveDrag,
     SpinDrag,
@@ -25,7 +24,6 @@ from derjax.terms import (
 )
 
 N = 12
-INTERVAL = Interval(jnp.asarray(0.1), jnp.zeros(1))
 SEEDS = (0, 1, 2)
 STEP = 0.1
 HELIX = helix(0.1, 0.6, 1.0, N - 4, "left")
@@ -183,9 +181,8 @@ def test_drag_on_a_turning_head_is_that_of_its_angular_velocity():
     axis = np.asarray(tangents(ROD.topology, x)[0])
     edge_angles = angles(ROD.topology, state.q).at[0].add(step * omega @ axis)
     q = jnp.concatenate([turned.ravel(), edge_angles])
-    interval = Interval(jnp.asarray(step), jnp.zeros(1))
     head = DRAG["head"]
-    gradient = jax.jit(lambda x: head.contribution(ROD, state, interval).gradient(x))(q)
+    gradient = jax.jit(lambda x: share(head, ROD, state, step).gradient(x))(q)
     assert float(gradient[3 * N_NODES]) == pytest.approx(float(head.spin) * omega @ axis, rel=1e-4)
     force = positions(ROD.topology, gradient)[1]
     moment = np.cross(x[1] - x[0], force)
@@ -219,7 +216,7 @@ def test_a_body_at_rest_feels_no_drag(name):
 def test_drag_is_a_symmetric_matrix_that_only_dissipates(name):
     """On the degrees of freedom it acts on; also for a rod that is anything but straight."""
     state, _ = deformed(1)
-    contribution = jax.jit(TERMS[name].contribution)(ROD, state, INTERVAL)
+    contribution = jax.jit(share)(TERMS[name], ROD, state, 0.1)
     matrix = np.asarray(jax.jit(lambda part, q: gather([part]).hessian(q))(contribution, state.q))
     np.testing.assert_allclose(matrix, matrix.T, atol=1e-13 * np.abs(matrix).max())
     acted_on = np.unique(contribution.dofs.array)

@@ -1,6 +1,7 @@
 """Schemes: what they do to linear motion, to the order of the robot's path, and adaptive steps."""
 
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +32,7 @@ from derjax.rod import Rod
 from derjax.rollout import new_report
 from derjax.schemes.euler import euler
 from derjax.schemes.trbdf2 import D, trbdf2
-from derjax.terms import Inertia, Interval, Term
+from derjax.terms import Inertia, Stage, Term
 
 N_DOFS = 11
 ROD, REST = at_rest(chain(3), jnp.array([[0.0, 0, 0], [1.0, 0, 0], [2.0, 0, 0]]))
@@ -48,7 +49,7 @@ class Springs(Term):
 
     stiffness: jax.Array
 
-    def contribution(self, rod: Rod, state: State, interval: Interval) -> Contribution:
+    def contribution(self, rod: Rod, state: State, stage: Stage, cache: Any) -> Contribution:
         return Diagonal(self.stiffness, REST.q)
 
 
@@ -58,8 +59,8 @@ class Dampers(Term):
 
     resistance: jax.Array
 
-    def contribution(self, rod: Rod, state: State, interval: Interval) -> Contribution:
-        return Diagonal(self.resistance / interval.length, interval.origin_from(state))
+    def contribution(self, rod: Rod, state: State, stage: Stage, cache: Any) -> Contribution:
+        return Diagonal(self.resistance / stage.length, stage.origin_from(state))
 
 
 def springs(scheme, terms: tuple[Term, ...], h: float = 1.0) -> Scene:

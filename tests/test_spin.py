@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import advance, finite_difference_jvp
+from helpers import advance, finite_difference_jvp, share
 
 import derjax
 from derjax import SceneFile, State, angles, build, positions
@@ -15,7 +15,7 @@ from derjax.pytree import replace
 from derjax.rod import carry_frames
 from derjax.scenefile import InputError, load_scene
 from derjax.step import Scene
-from derjax.terms import Interval, SpinDrag
+from derjax.terms import SpinDrag
 
 rollout = jax.jit(derjax.rollout, static_argnums=(2, 3))
 
@@ -156,10 +156,9 @@ def test_the_torque_of_a_rod_that_turns_as_a_whole_is_that_of_its_cylinder():
     (drag,) = (t for t in scene.terms if isinstance(t, SpinDrag))
     topology = scene.rod.topology
     x = np.asarray(positions(topology, state.q))
-    interval = Interval(jnp.asarray(1e-3), state.motor_angle)
     for axis in ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.6, 0.8, 0.0]):
         rate = np.concatenate([np.cross(axis, x).ravel(), np.full(topology.n_edges, axis[0])])
-        force = drag.contribution(scene.rod, state, interval).gradient(state.q + 1e-3 * rate)
+        force = share(drag, scene.rod, state, 1e-3).gradient(state.q + 1e-3 * rate)
         power = float(force @ rate)
         length = LENGTH * (1 + 1 / 4)  # with the shaft
         expected = ZETA * length * axis[0] ** 2

@@ -3,8 +3,18 @@
 from jaxtyping import Array
 
 from ..rod import State
-from ..step import Scene, Step, at_end, expected_move, mean_acceleration, prepare, solve, turned
-from ..terms.term import Interval
+from ..step import (
+    Scene,
+    Step,
+    at_end,
+    expected_move,
+    fluid_velocity,
+    mean_acceleration,
+    predict,
+    solve,
+    turned,
+)
+from ..terms.term import Stage
 
 
 def euler(scene: Scene, state: State, length: Array) -> Step:
@@ -14,9 +24,10 @@ def euler(scene: Scene, state: State, length: Array) -> Step:
     estimated as h^2/2 d2q/dt2.
     """
     turn = turned(scene, state, length)
-    terms = prepare(scene, state, 0.5 * length, length)
-    interval = Interval(length, state.motor_angle + turn)
-    q, info = solve(scene, terms, state, interval, turn, expected_move(scene, state, length))
+    prediction = predict(scene, state, 0.5 * length, length)
+    flow = fluid_velocity(scene, prediction.configuration, state.time + 0.5 * length)
+    stage = Stage(length, state.time + length, state.motor_angle + turn, fluid_velocity=flow)
+    q, info = solve(scene, prediction, state, stage, turn, expected_move(scene, state, length))
     velocity = (q - state.q) / length
     acceleration = (velocity - state.velocity) / length
     error = 0.5 * length**2 * mean_acceleration(state, length, q)

@@ -7,7 +7,7 @@ With d = 1 - 1/sqrt(2), w = sqrt(2)/4 and dy/dt = f(t, y) a step from y0, where 
 
 and ends at y2. Its f2 is the f0 of the next step. It is L-stable (Bank et al., IEEE Trans.
 Electron Devices 32, 1992, 1985; Hosea & Shampine, Appl. Numer. Math. 20, 21, 1996). Here y is
-positions and velocities together; each stage is an interval of implicit Euler of length d h.
+positions and velocities together; each stage is one of implicit Euler of length d h.
 
 Nothing is known of f0 before the first step: a motor sets a rod without inertia going at once.
 That step is one of the method of Alexander (SIAM J. Numer. Anal. 14, 1006, 1977) with the same d,
@@ -28,8 +28,18 @@ from ..newton import NewtonInfo, worse
 from ..potential import Dofs
 from ..pytree import pytree
 from ..rod import State
-from ..step import Scene, Step, at_end, expected_velocity, jerk, prepare, solve, turned
-from ..terms.term import Interval
+from ..step import (
+    Scene,
+    Step,
+    at_end,
+    expected_velocity,
+    fluid_velocity,
+    jerk,
+    predict,
+    solve,
+    turned,
+)
+from ..terms.term import Stage
 
 D = 1.0 - 1.0 / math.sqrt(2.0)
 W = 0.25 * math.sqrt(2.0)
@@ -79,9 +89,11 @@ def trbdf2(scene: Scene, state: State, length: Array) -> Step:
         turn = turned(scene, state, end)
         expected = expected_velocity(scene, state, end)
         move = origin + part * (expected + before.surprise) - state.q
-        terms = prepare(scene, state, end, length)
-        interval = Interval(part, state.motor_angle + turn, origin, pace)
-        q, how = solve(scene, terms, state, interval, turn, move)
+        prediction = predict(scene, state, end, length)
+        flow = fluid_velocity(scene, prediction.configuration, state.time + end)
+        angle = state.motor_angle + turn
+        solved = Stage(part, state.time + end, angle, origin, pace, flow)
+        q, how = solve(scene, prediction, state, solved, turn, move)
         velocity = (q - origin) / part
         acceleration = (velocity - pace) / part
         return (_End(q, velocity, acceleration, velocity - expected), worse(info, how)), None

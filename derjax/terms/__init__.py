@@ -12,6 +12,7 @@ from .spillmann_teschner import SpillmannTeschner as SpillmannTeschner
 from .spin import SpinDrag as SpinDrag
 from .stokeslets import StokesletSegments as StokesletSegments
 from .stretch import Stretch as Stretch
-from .term import Interval as Interval
+from .term import Prediction as Prediction
+from .term import Stage as Stage
 from .term import Term as Term
 from .twist import Twist as Twist

@@ -7,7 +7,7 @@ from ..hinge import HingePotential, hinge_frames
 from ..potential import Elements
 from ..pytree import pytree
 from ..rod import Rod, State
-from .term import Interval, Term
+from .term import Stage, Term
 
 
 def energy(kappa: Float[Array, " 2"], twist: Array, data: tuple[Array, Array, Array]) -> Array:
@@ -26,7 +26,7 @@ class Bend(Term):
 
     stiffness: Float[Array, " b"]
 
-    def contribution(self, rod: Rod, state: State, interval: Interval) -> Elements:
+    def contribution(self, rod: Rod, state: State, stage: Stage, cache: None) -> Elements:
         data = (self.stiffness, rod.natural_curvature, rod.hinge_length)
         stencil = rod.topology.hinge_stencil
         return Elements(stencil, HingePotential(energy), (hinge_frames(rod, state), data))

@@ -30,7 +30,7 @@ from ..potential import Mobility
 from ..pytree import Indices, pytree, replace, static
 from ..rod import Rod, State, positions
 from .stokeslets import segment_kernels
-from .term import Interval, Outlook, Term
+from .term import Prediction, Stage, Term
 
 NEAR = 6
 """Pairs of blocks that are treated segment by segment, per block."""
@@ -83,26 +83,16 @@ class BlockStokeslets(Term):
     layout: Layout = static()
     end_nodes: str = static(default="half")
 
-    def prepared(self, rod: Rod, state: State, outlook: Outlook) -> "SettledBlocks":
-        x = positions(rod.topology, outlook.configuration)
-        return SettledBlocks(self, block_mobility(self, x))
+    def prepare(self, rod: Rod, state: State, prediction: Prediction) -> "BlockMobility":
+        """The mobility where the rod is expected to be."""
+        return block_mobility(self, positions(rod.topology, prediction.configuration))
 
-    def contribution(self, rod: Rod, state: State, interval: Interval) -> Mobility:
-        here = Outlook(state.q, jnp.zeros_like(state.q))
-        return self.prepared(rod, state, here).contribution(rod, state, interval)
-
-
-@pytree
-class SettledBlocks(Term):
-    """The drag of `BlockStokeslets` at the configuration of one interval."""
-
-    segments: BlockStokeslets
-    mobility: "BlockMobility"
-
-    def contribution(self, rod: Rod, state: State, interval: Interval) -> Mobility:
-        where = places(self.segments.layout)
-        dofs = Indices(rod.topology.node_dofs(where.wet.array).ravel())
-        return Mobility(dofs, self.mobility, interval.origin_from(state), interval.length)
+    def contribution(
+        self, rod: Rod, state: State, stage: Stage, cache: "BlockMobility"
+    ) -> Mobility:
+        wet = places(self.layout).wet.array
+        dofs = Indices(rod.topology.node_dofs(wet).ravel())
+        return Mobility(dofs, cache, stage.fluid_origin_from(state), stage.length)
 
 
 @pytree

@@ -19,11 +19,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..neighbours import Neighbours, search
-from ..potential import Dofs, Pairs
+from ..potential import Pairs
 from ..pytree import Indices, pytree, replace, static
 from ..rod import Rod, State
 from ..segments import Near, barrier_curvature, near
-from .term import Interval, Outlook, Term
+from .term import Prediction, Stage, Term
 
 SOFTNESS = 0.05
 """Of the distance, in diameters: it raises distances by less than 0.25 % of a diameter."""
@@ -113,21 +113,17 @@ class Contact(Term):
         pairs: (p, 2) the edges that may touch.
         capacity: how many of these may come close at one time. If more do, the step fails
             with `Status.CAPACITY`.
-        close: those that may touch during the step that is being taken, once they are known.
     """
 
     stiffness: Float[Array, ""]
     radius: Float[Array, ""]
     pairs: Indices = static()
     capacity: int = static()
-    close: Neighbours | None = None
 
-    def prepared(self, rod: Rod, state: State, outlook: Outlook) -> "Contact":
-        return replace(self, close=self.neighbours(rod, state, outlook.move))
-
-    def neighbours(self, rod: Rod, state: State, move: Dofs) -> Neighbours:
-        """The pairs that may touch during a step in which the rod is to go by `move` (m)."""
-        return search(rod, state, move, self.pairs, 2.0 * self.radius, self.capacity)
+    def prepare(self, rod: Rod, state: State, prediction: Prediction) -> Neighbours:
+        """The pairs that may touch during the step."""
+        move, diameter = prediction.move, 2.0 * self.radius
+        return search(rod, state, move, self.pairs, diameter, self.capacity)
 
     def enlarged(self) -> "Contact":
         """With a list twice as long, or as long as it can ever have to be."""
@@ -141,9 +137,6 @@ class Contact(Term):
             jnp.broadcast_to(2.0 * self.radius, self.capacity),
         )
 
-    def contribution(self, rod: Rod, state: State, interval: Interval) -> Pairs:
-        close = self.close
-        if close is None:
-            close = self.neighbours(rod, state, interval.length * state.velocity)
-        dofs = (3 * close.nodes[:, :, None] + jnp.arange(3)).reshape(-1, 12)
-        return Pairs(dofs, close.taken, Repulsion(), self.touch, close)
+    def contribution(self, rod: Rod, state: State, stage: Stage, cache: Neighbours) -> Pairs:
+        dofs = (3 * cache.nodes[:, :, None] + jnp.arange(3)).reshape(-1, 12)
+        return Pairs(dofs, cache.taken, Repulsion(), self.touch, cache)

@@ -19,11 +19,12 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from ..geometry import dot, unit
+from ..neighbours import Neighbours
 from ..potential import Pairs
-from ..pytree import pytree, replace
+from ..pytree import pytree
 from ..rod import Rod, State
 from .contact import Contact, Touch, force, meeting, weights
-from .term import Interval, Outlook, Term
+from .term import Prediction, Stage, Term
 
 
 def slip(
@@ -90,65 +91,59 @@ class Rubbing:
 
 
 @pytree
-class Friction(Term):
-    """`h Phi = sum over touching pairs of mu_f N (sqrt(|u|^2 + (h v_s)^2) - h v_s)`.
-
-    Attributes:
-        contact: which rods touch, and how hard.
-        coefficient: mu_f, dimensionless.
-        slip_speed: v_s, m/s: below it friction is like drag, and rods that stick creep.
-    """
-
-    contact: Contact
-    coefficient: Float[Array, ""]
-    slip_speed: Float[Array, ""]
-
-    def enlarged(self) -> "Friction":
-        """With more places in the list of contacts."""
-        return replace(self, contact=self.contact.enlarged())
-
-    def prepared(self, rod: Rod, state: State, outlook: Outlook) -> "Rubbed":
-        close = self.contact.neighbours(rod, state, outlook.move)
-        positions = (3 * close.nodes[:, :, None] + jnp.arange(3)).reshape(-1, 12)
-        dofs = jnp.concatenate([positions, 3 * rod.topology.n_nodes + close.edges], axis=1)
-        touch = self.contact.touch
-        # Where nothing is close there is nothing to find out.
-        matrix, normal_force = lax.cond(
-            close.found > 0,
-            lambda: jax.vmap(_pressed)(state.q[positions], touch),
-            lambda: (jnp.zeros((len(dofs), 3, 14)), jnp.zeros(len(dofs))),
-        )
-        strength = self.coefficient * normal_force
-        return Rubbed(dofs, close.taken, matrix, strength, self.slip_speed)
-
-    def contribution(self, rod: Rod, state: State, interval: Interval) -> Pairs:
-        onward = Outlook(state.q, interval.length * state.velocity)
-        return self.prepared(rod, state, onward).contribution(rod, state, interval)
-
-
-@pytree
-class Rubbed(Term):
-    """Friction with the surfaces and normal forces of one step.
+class Grip:
+    """What holds touching rods during one step.
 
     Attributes:
         dofs: (k, 14) degrees of freedom of each pair.
         taken: (k,) which places of the list are in use.
         slip: (k, 3, 14) m per displacement.
-        strength: (k,) N, mu_f N.
-        slip_speed: v_s, m/s.
+        normal_force: (k,) N.
     """
 
     dofs: Int[Array, "k 14"]
     taken: Bool[Array, " k"]
     slip: Float[Array, "k 3 14"]
-    strength: Float[Array, " k"]
+    normal_force: Float[Array, " k"]
+
+
+@pytree
+class Friction(Term):
+    """`h Phi = sum over touching pairs of mu_f N (sqrt(|u|^2 + (h v_s)^2) - h v_s)`.
+
+    Which rods touch, and how hard, is said by the scene's `Contact`.
+
+    Attributes:
+        coefficient: mu_f, dimensionless.
+        slip_speed: v_s, m/s: below it friction is like drag, and rods that stick creep.
+    """
+
+    coefficient: Float[Array, ""]
     slip_speed: Float[Array, ""]
 
-    def contribution(self, rod: Rod, state: State, interval: Interval) -> Pairs:
-        data = Sliding(
-            slip=self.slip,
-            old=interval.origin_from(state)[self.dofs],
-            strength=self.strength,
-            smallest=jnp.broadcast_to(self.slip_speed * interval.length, len(self.dofs)),
+    def prepare(self, rod: Rod, state: State, prediction: Prediction) -> Grip:
+        """The surfaces and normal forces at the start of the step.
+
+        Raises:
+            ValueError: the scene has no `Contact`.
+        """
+        contact = prediction.only(Contact, "friction")
+        close: Neighbours = prediction.cache(contact, rod, state)
+        positions = (3 * close.nodes[:, :, None] + jnp.arange(3)).reshape(-1, 12)
+        dofs = jnp.concatenate([positions, 3 * rod.topology.n_nodes + close.edges], axis=1)
+        # Where nothing is close there is nothing to find out.
+        slips, normal_force = lax.cond(
+            close.found > 0,
+            lambda: jax.vmap(_pressed)(state.q[positions], contact.touch),
+            lambda: (jnp.zeros((len(dofs), 3, 14)), jnp.zeros(len(dofs))),
         )
-        return Pairs(self.dofs, self.taken, Rubbing(), data)
+        return Grip(dofs, close.taken, slips, normal_force)
+
+    def contribution(self, rod: Rod, state: State, stage: Stage, cache: Grip) -> Pairs:
+        data = Sliding(
+            slip=cache.slip,
+            old=stage.origin_from(state)[cache.dofs],
+            strength=self.coefficient * cache.normal_force,
+            smallest=jnp.broadcast_to(self.slip_speed * stage.length, len(cache.dofs)),
+        )
+        return Pairs(cache.dofs, cache.taken, Rubbing(), data)

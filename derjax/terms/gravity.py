@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 from ..potential import Load
 from ..pytree import pytree
 from ..rod import Rod, State
-from .term import Interval, Term
+from .term import Stage, Term
 
 
 @pytree
@@ -21,6 +21,6 @@ class Gravity(Term):
     buoyant_mass: Float[Array, " n"]
     acceleration: Float[Array, " 3"]
 
-    def contribution(self, rod: Rod, state: State, interval: Interval) -> Load:
+    def contribution(self, rod: Rod, state: State, stage: Stage, cache: None) -> Load:
         weight = self.buoyant_mass[:, None] * self.acceleration
         return Load(jnp.concatenate([weight.ravel(), jnp.zeros(rod.topology.n_edges)]))

@@ -6,9 +6,9 @@ from jaxtyping import Array, Float
 
 from ..geometry import holonomy, norm, unit
 from ..potential import Elements, Form
-from ..pytree import Indices, pytree, replace
+from ..pytree import Indices, pytree
 from ..rod import Head, Rod, State, positions
-from .term import Interval, Outlook, Term
+from .term import Prediction, Stage, Term
 
 
 @pytree
@@ -25,26 +25,26 @@ class HeadDrag(Term):
         tilt: N m s: resistance to a change of direction of that line. The paper's model of
             one flagellum has none; a head that is a sphere has the same as for spin.
         radius: r_h, m; the drag has it in it already.
-        line: (3,) m, the head's line where drag is taken; None for that at the start of a step.
     """
 
     translation: Float[Array, ""]
     spin: Float[Array, ""]
     tilt: Float[Array, ""]
     radius: Float[Array, ""]
-    line: Float[Array, " 3"] | None = None
 
-    def prepared(self, rod: Rod, state: State, outlook: Outlook) -> "HeadDrag":
-        return replace(self, line=_line(rod, outlook.configuration))
+    def prepare(self, rod: Rod, state: State, prediction: Prediction) -> Float[Array, " 3"]:
+        """The head's line (m) where drag is taken."""
+        return _line(rod, prediction.configuration)
 
-    def contribution(self, rod: Rod, state: State, interval: Interval) -> Elements:
+    def contribution(
+        self, rod: Rod, state: State, stage: Stage, cache: Float[Array, " 3"]
+    ) -> Elements:
         topology = rod.topology
         head, first = _head(rod), _line(rod, state.q)
-        line = first if self.line is None else self.line
         nodes = topology.node_dofs([head.node, *head.line]).ravel()
         dofs = np.append(nodes, topology.edge_dofs(head.edges))
-        resistance = self.resistance(line, first, len(head.edges))
-        data = interval.origin_from(state)[dofs][None], resistance[None] / interval.length
+        resistance = self.resistance(cache, first, len(head.edges))
+        data = stage.fluid_origin_from(state)[dofs][None], resistance[None] / stage.length
         return Elements(Indices(dofs[None]), Form(), data)
 
     def resistance(

@@ -5,12 +5,12 @@ from jaxtyping import Array, Float
 from ..potential import Diagonal
 from ..pytree import pytree
 from ..rod import Rod, State
-from .term import Interval, Term
+from .term import Stage, Term
 
 
 @pytree
 class Inertia(Term):
-    """`1/(2 l^2) |q - origin - l velocity|^2_M`: the inertia of an interval of length l.
+    """`1/(2 l^2) |q - origin - l velocity|^2_M`: the inertia of a stage of length l.
 
     Attributes:
         mass: (d,) kg for positions, kg m^2 for angles.
@@ -18,7 +18,7 @@ class Inertia(Term):
 
     mass: Float[Array, " d"]
 
-    def contribution(self, rod: Rod, state: State, interval: Interval) -> Diagonal:
-        length, origin = interval.length, interval.origin_from(state)
-        ahead = origin + length * interval.velocity_from(state)
+    def contribution(self, rod: Rod, state: State, stage: Stage, cache: None) -> Diagonal:
+        length, origin = stage.length, stage.origin_from(state)
+        ahead = origin + length * stage.velocity_from(state)
         return Diagonal(weight=self.mass / length**2, origin=ahead)

@@ -1,11 +1,11 @@
 """Drag evaluated explicitly, as the paper's scheme does."""
 
-import jax.numpy as jnp
+from typing import Any
 
 from ..potential import Load, Mobility
 from ..pytree import pytree
 from ..rod import Rod, State
-from .term import Interval, Outlook, Term
+from .term import Prediction, Stage, Term, standing
 
 
 @pytree
@@ -18,20 +18,20 @@ class Lagged(Term):
 
     drag: Term
 
-    def prepared(self, rod: Rod, state: State, outlook: Outlook) -> "Lagged":
-        still = Outlook(configuration=state.q, move=jnp.zeros_like(state.q))
-        return Lagged(self.drag.prepared(rod, state, still))
+    def prepare(self, rod: Rod, state: State, prediction: Prediction) -> Any:
+        """What the drag prepares at the start of the step."""
+        return self.drag.prepare(rod, state, standing(state, prediction.terms))
 
-    def contribution(self, rod: Rod, state: State, interval: Interval) -> Load:
+    def contribution(self, rod: Rod, state: State, stage: Stage, cache: Any) -> Load:
         """The force of the old velocity.
 
         Raises:
             ValueError: a drag whose forces are not known from velocities, one with a guard, or a
                 stage of a scheme other than Euler's.
         """
-        if interval.origin is not None:
+        if stage.origin is not None:
             raise ValueError("explicit drag (Lagged) is only for the scheme euler")
-        drag = self.drag.contribution(rod, state, interval)
+        drag = self.drag.contribution(rod, state, stage, cache)
         if isinstance(drag, Mobility):
             raise ValueError(
                 "explicit drag (Lagged) needs forces from velocities, which BlockStokeslets do not "
@@ -39,4 +39,4 @@ class Lagged(Term):
             )
         if drag.guard is not None:
             raise ValueError("a contribution with a guard, as contact has, cannot be explicit")
-        return Load(-drag.gradient(state.q + interval.length * state.velocity))
+        return Load(-drag.gradient(state.q + stage.length * state.velocity))

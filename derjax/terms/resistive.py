@@ -6,9 +6,9 @@ from jaxtyping import Array, Float
 
 from ..geometry import dot, unit
 from ..potential import Elements, Form
-from ..pytree import Indices, pytree, replace
+from ..pytree import Indices, pytree
 from ..rod import Rod, State, positions
-from .term import Interval, Outlook, Term
+from .term import Prediction, Stage, Term
 
 
 def gray_hancock(
@@ -42,20 +42,20 @@ class ResistiveDrag(Term):
     Attributes:
         parallel: drag per length along the rod, Pa s.
         normal: drag per length across the rod, Pa s.
-        configuration: (d,) m and rad, where tangents are taken; None for the start of the step.
     """
 
     parallel: Float[Array, ""]
     normal: Float[Array, ""]
-    configuration: Float[Array, " d"] | None = None
 
-    def prepared(self, rod: Rod, state: State, outlook: Outlook) -> "ResistiveDrag":
-        return replace(self, configuration=outlook.configuration)
+    def prepare(self, rod: Rod, state: State, prediction: Prediction) -> Float[Array, " d"]:
+        """Where tangents are taken."""
+        return prediction.configuration
 
-    def contribution(self, rod: Rod, state: State, interval: Interval) -> Elements:
+    def contribution(
+        self, rod: Rod, state: State, stage: Stage, cache: Float[Array, " d"]
+    ) -> Elements:
         topology = rod.topology
-        q = state.q if self.configuration is None else self.configuration
-        x = positions(topology, q)
+        x = positions(topology, cache)
         nodes, tangent, length = [], [], []
         for path in topology.filaments:
             edge = x[np.array(path[1:])] - x[np.array(path[:-1])]
@@ -71,5 +71,5 @@ class ResistiveDrag(Term):
         tangent = jnp.concatenate(tangent)
         along = tangent[:, :, None] * tangent[:, None, :]
         resistance = weight * (self.normal * jnp.eye(3) + (self.parallel - self.normal) * along)
-        data = interval.origin_from(state)[dofs], resistance / interval.length
+        data = stage.fluid_origin_from(state)[dofs], resistance / stage.length
         return Elements(Indices(dofs), Form(), data)

@@ -19,7 +19,7 @@ from ..potential import Dofs, Load
 from ..pytree import Indices, pytree, static
 from ..rod import Rod, State, positions
 from ..segments import between, closest
-from .term import Interval, Term
+from .term import Stage, Term
 
 
 @pytree
@@ -40,7 +40,7 @@ class SpillmannTeschner(Term):
     pairs: Indices = static()
     tries: int = static(default=100)
 
-    def contribution(self, rod: Rod, state: State, interval: Interval) -> Load:
+    def contribution(self, rod: Rod, state: State, stage: Stage, cache: None) -> Load:
         return Load(self.force)
 
     def correction(self, rod: Rod, q: Dofs, length: Array) -> tuple[Dofs, Array]:

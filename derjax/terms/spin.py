@@ -8,9 +8,9 @@ from jaxtyping import Array, Float
 
 from ..geometry import holonomy, norm, unit
 from ..potential import Elements, Form
-from ..pytree import Indices, pytree, replace
+from ..pytree import Indices, pytree
 from ..rod import Rod, State, Topology, positions
-from .term import Interval, Outlook, Term
+from .term import Prediction, Stage, Term
 
 
 @pytree
@@ -23,28 +23,28 @@ class SpinDrag(Term):
 
     Attributes:
         resistance: zeta, drag per length on the spin, N s.
-        configuration: (d,) m and rad, where tangents are taken; None for the start of the step.
     """
 
     resistance: Float[Array, ""]
-    configuration: Float[Array, " d"] | None = None
 
-    def prepared(self, rod: Rod, state: State, outlook: Outlook) -> "SpinDrag":
-        return replace(self, configuration=outlook.configuration)
+    def prepare(self, rod: Rod, state: State, prediction: Prediction) -> Float[Array, " d"]:
+        """Where tangents are taken."""
+        return prediction.configuration
 
-    def contribution(self, rod: Rod, state: State, interval: Interval) -> Elements:
+    def contribution(
+        self, rod: Rod, state: State, stage: Stage, cache: Float[Array, " d"]
+    ) -> Elements:
         topology, edges = rod.topology, _wet_edges(rod.topology)
-        q = state.q if self.configuration is None else self.configuration
-        edge, before = (_edge_vectors(topology, edges, x) for x in (q, state.q))
+        edge, before = (_edge_vectors(topology, edges, x) for x in (cache, state.q))
         # A change of the edge turns its frame, which is transported from the start of the step.
         turn = holonomy(unit(before), unit(edge)) / norm(edge)[:, None]
         spin = jnp.concatenate([-turn, turn, jnp.ones((len(edges), 1))], axis=1)
-        zeta = self.resistance * rod.rest_length[edges] / interval.length
+        zeta = self.resistance * rod.rest_length[edges] / stage.length
         dofs = np.concatenate(
             [topology.edge_stencil.array[edges], topology.edge_dofs(edges)[:, None]], axis=1
         )
         data = (
-            interval.origin_from(state)[dofs],
+            stage.fluid_origin_from(state)[dofs],
             zeta[:, None, None] * spin[:, :, None] * spin[:, None, :],
         )
         return Elements(Indices(dofs), Form(), data)

@@ -24,7 +24,7 @@ from jaxtyping import Array, Float
 from ..potential import Quadratic
 from ..pytree import Indices, push, pytree, replace, static
 from ..rod import Rod, State, positions
-from .term import Interval, Outlook, Term
+from .term import Prediction, Stage, Term
 
 
 class Moments(NamedTuple):
@@ -297,33 +297,14 @@ class StokesletSegments(Term):
         inverse = jnp.linalg.inv(lax.stop_gradient(self.mobility(x)))
         return Resistance(self, x, inverse, jnp.ones(()))
 
-    def prepared(self, rod: Rod, state: State, outlook: Outlook) -> "SettledDrag":
-        x = positions(rod.topology, outlook.configuration)
+    def prepare(self, rod: Rod, state: State, prediction: Prediction) -> "Resistance":
+        """The resistance where the rod is expected to be."""
+        return self._resistance(positions(rod.topology, prediction.configuration))
+
+    def contribution(self, rod: Rod, state: State, stage: Stage, cache: "Resistance") -> Quadratic:
         dofs = Indices(rod.topology.node_dofs(self.nodes).ravel())
-        return SettledDrag(self._resistance(x), dofs, self.symmetric)
-
-    def contribution(self, rod: Rod, state: State, interval: Interval) -> Quadratic:
-        here = Outlook(state.q, jnp.zeros_like(state.q))
-        return self.prepared(rod, state, here).contribution(rod, state, interval)
-
-
-@pytree
-class SettledDrag(Term):
-    """The drag of `StokesletSegments` at the configuration of one step.
-
-    Attributes:
-        resistance: N s/m.
-        dofs: (3m,) on which it acts.
-        symmetric: whether it derives from a potential.
-    """
-
-    resistance: "Resistance"
-    dofs: Indices = static()
-    symmetric: bool = static()
-
-    def contribution(self, rod: Rod, state: State, interval: Interval) -> Quadratic:
-        operator = replace(self.resistance, time=interval.length)
-        return Quadratic(self.dofs, self.symmetric, operator, interval.origin_from(state))
+        operator = replace(cache, time=stage.length)
+        return Quadratic(dofs, self.symmetric, operator, stage.fluid_origin_from(state))
 
 
 @pytree

@@ -6,7 +6,7 @@ from ..geometry import norm
 from ..potential import Autodiff, Elements
 from ..pytree import pytree
 from ..rod import Rod, State
-from .term import Interval, Term
+from .term import Stage, Term
 
 
 def energy(local: Float[Array, " 6"], data: tuple[Array, Array]) -> Array:
@@ -26,7 +26,7 @@ class Stretch(Term):
 
     stiffness: Float[Array, " e"]
 
-    def contribution(self, rod: Rod, state: State, interval: Interval) -> Elements:
+    def contribution(self, rod: Rod, state: State, stage: Stage, cache: None) -> Elements:
         return Elements(
             rod.topology.edge_stencil, Autodiff(energy), (self.stiffness, rod.rest_length)
         )

@@ -7,7 +7,7 @@ from ..hinge import HingePotential, hinge_frames
 from ..potential import Elements
 from ..pytree import pytree
 from ..rod import Rod, State
-from .term import Interval, Term
+from .term import Stage, Term
 
 
 def energy(kappa: Float[Array, " 2"], twist: Array, data: tuple[Array, Array, Array]) -> Array:
@@ -29,10 +29,10 @@ class Twist(Term):
 
     stiffness: Float[Array, " b"]
 
-    def contribution(self, rod: Rod, state: State, interval: Interval) -> Elements:
+    def contribution(self, rod: Rod, state: State, stage: Stage, cache: None) -> Elements:
         natural = rod.natural_twist
         if rod.topology.motors:
-            natural = natural.at[np.array(rod.topology.motors)].add(interval.motor_angle)
+            natural = natural.at[np.array(rod.topology.motors)].add(stage.motor_angle)
         data = (self.stiffness, natural, rod.hinge_length)
         stencil = rod.topology.hinge_stencil
         return Elements(stencil, HingePotential(energy), (hinge_frames(rod, state), data))
