@@ -11,9 +11,10 @@ from jaxtyping import Float
 
 from derjax import InputError, SolverError
 
-from .causes import likely_causes
+from .causes import Cause, likely_causes
 from .conclusion import Conclusion, judge, unlikely
 from .explore import NEARLY, Exploration, distinct, explore, without
+from .goodness import Goodness
 from .levenberg import Iteration, Optimum, Trial, minimise
 from .model import Model
 from .outcome import Fit, Progress
@@ -85,18 +86,14 @@ def calibrate(
         optima: tuple[Optimum[list[Simulated]], ...] = exploration.optima
     else:
         optima = _fits(clock, free, exploration, max_iterations, tolerance)
-    best = optima[0]
-    before, causes = None, ()
-    judged = judge(model, best)
+    judged = judge(model, optima[0])
+    optima, causes = _checked(clock, free, optima, judged)
+    before = None
     with contextlib.suppress(KeyboardInterrupt):
-        if best.status != "interrupted":
-            if not judged.good or unlikely(model.values(best.free)):
-                clock.begin("check")
-                causes = likely_causes(model, free, best)
-            if compare:
-                clock.begin("compare")
-                trial = model.whole(free)
-                before = None if trial is None else trial.model
+        if compare and optima[0].status != "interrupted":
+            clock.begin("compare")
+            trial = model.whole(free)
+            before = None if trial is None else trial.model
     return Conclusion(model, exploration, optima, judged, causes).fit(
         start, before, clock.previews, time.perf_counter() - begun
     )
@@ -173,6 +170,24 @@ def _fits(
         if optimum.status == "interrupted":
             return (optimum,)
     return distinct(found)
+
+
+def _checked(
+    clock: "_Clock", free: Free, optima: tuple[Optimum[list[Simulated]], ...], judged: Goodness
+) -> tuple[tuple[Optimum[list[Simulated]], ...], tuple[Cause, ...] | None]:
+    """Likely causes of a bad fit; after Ctrl-C none, and the fit is an interrupted one.
+
+    A search that has not come to its end may be bad for that reason alone.
+    """
+    best, model = optima[0], clock.model
+    ended = best.status not in ("interrupted", "max_iterations")
+    if not ended or (judged.good and not unlikely(model.values(best.free))):
+        return optima, ()
+    clock.begin("check")
+    try:
+        return optima, likely_causes(model, free, best)
+    except KeyboardInterrupt:
+        return (replace(best, status="interrupted"), *optima[1:]), None
 
 
 def _cannot(model: Model, free: Free) -> SolverError:

@@ -65,6 +65,9 @@ def likely_causes(model: Model, start: Free, best: Optimum[list[Simulated]]) -> 
         model: of the fit.
         start: (p,) free parameters of the start.
         best: where the fit ended, by previews or by whole simulations.
+
+    Raises:
+        KeyboardInterrupt: before all were tried.
     """
     points = [best.free, start]
     found: list[Cause] = []
@@ -147,13 +150,16 @@ def _search(
             promises.append((shifted(trial.residuals, change).loss(), len(promises), point))
     if not promises:
         return None
-    return minimise(
+    found = minimise(
         evaluate,
         min(promises)[2],
         max_iterations=MOST_ITERATIONS,
         step_tolerance=1e-2,
         gain_tolerance=0.1,
     )
+    if found is not None and found.status == "interrupted":
+        raise KeyboardInterrupt
+    return found
 
 
 def _tried(

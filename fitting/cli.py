@@ -49,8 +49,8 @@ def run(args: argparse.Namespace) -> int:
 
     Returns:
         0 if the fit converged, 2 if it did not, 130 if it was interrupted; in all three cases
-        fit.json holds the best parameters found. What an interrupted fit has simulated is kept,
-        and `--resume` goes on from there.
+        fit.json holds the best parameters found. What was simulated by a fit that was interrupted
+        or ran out of iterations is kept, and `--resume` goes on from there.
 
     Raises:
         InputError: dataset, scene, tracks or arguments are wrong, or there are results that must
@@ -114,6 +114,9 @@ def _fit(
     if fit.status == "interrupted":
         print(f"derjax: interrupted; {again}", file=sys.stderr)
         return INTERRUPTED
+    if fit.status == "max_iterations":
+        print(f"derjax: the fit has not converged; go on with: {_longer(args)}", file=sys.stderr)
+        return UNFINISHED
     finish(output)
     return 0 if fit.status == "converged" else UNFINISHED
 
@@ -126,6 +129,12 @@ def _command(args: argparse.Namespace) -> str:
     words += ["--max-iterations", str(args.max_iterations)] * (args.max_iterations != 30)
     words += ["--no-figures"] * args.no_figures + ["--quiet"] * args.quiet
     return shlex.join(words)
+
+
+def _longer(args: argparse.Namespace) -> str:
+    """The command line that resumes a fit with twice the iterations."""
+    twice = {**vars(args), "max_iterations": 2 * args.max_iterations}
+    return f"{_command(argparse.Namespace(**twice))} --resume"
 
 
 def _check_output(args: argparse.Namespace, output: Output) -> None:

@@ -56,14 +56,14 @@ class Conclusion:
         exploration: the search for optima; None if there was none.
         optima: of whole simulations, best first.
         goodness: of the best.
-        causes: of a bad fit.
+        causes: of a bad fit; None if the search for them was interrupted.
     """
 
     model: Model
     exploration: Exploration | None
     optima: tuple[Optimum[list[Simulated]], ...]
     goodness: Goodness
-    causes: tuple[Cause, ...]
+    causes: tuple[Cause, ...] | None
 
     @property
     def best(self) -> Optimum[list[Simulated]]:
@@ -94,7 +94,7 @@ class Conclusion:
             estimates=estimates,
             correlation=known.correlation,
             goodness=self.goodness,
-            causes=self.causes,
+            causes=self.causes or (),
             alternatives=self.alternatives,
             warnings=tuple(self.warnings(known, estimates)),
             loss=self.best.loss,
@@ -183,7 +183,9 @@ class Conclusion:
         """Sentences on all that speaks against taking the estimates as they stand."""
         said = [] if self.goodness.good else [self.goodness.sentence() + "."]
         said += unlikely({name: e.value for name, e in estimates.items() if np.isfinite(e.std)})
-        said += [f"Likely cause: {cause.sentence}." for cause in self.causes]
+        said += [f"Likely cause: {cause.sentence}." for cause in self.causes or ()]
+        if self.causes is None:
+            said.append("The fit was interrupted before all likely causes of this were tried.")
         if said:
             said.append("The error bars above assume that the model is right; do not rely on them.")
         if remark := self.goodness.remark():

@@ -8,12 +8,15 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from derjax.cli import main
+from fitting.calibrate import calibrate
 from fitting.model import Model
 from fitting.simulate import Simulator
 
@@ -28,6 +31,9 @@ step = 0.05
 end = 3.0
 inertia = false
 """
+
+DRIFT = np.array([0.0, 1e-3, 0.0, 0.0])
+"""m/s, of tracks that say so to nobody."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -234,6 +240,65 @@ def test_the_printer_may_be_interrupted(path, monkeypatch) -> None:
     assert main(["fit", str(path), "-o", str(out)]) == 130
     assert numbers(out)["status"] == "interrupted"
     assert len(list((out / "evaluations").glob("*.npz"))) >= 2
+
+
+@pytest.mark.parametrize("after", [1, 40])
+def test_the_search_for_causes_may_be_interrupted(
+    dataset, tmp_path, monkeypatch, capsys, after
+) -> None:
+    """Also in the midst of one of its own searches."""
+    runs = [replace(run, values=run.values + np.outer(run.time, DRIFT)) for run in dataset.runs]
+    path, out = written(replace(dataset, runs=tuple(runs)), tmp_path), tmp_path / "out"
+    argv = ["fit", str(path), "-o", str(out), "--start", "C_t=4", "C_r=0.4", "--no-figures"]
+    told = 0
+
+    def interrupt(self, progress) -> None:
+        nonlocal told
+        told += progress.stage == "check"
+        if told == after:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("fitting.cli._Printer.__call__", interrupt)
+        assert main(argv) == 130
+    content = numbers(out)
+    assert content["status"] == "interrupted"
+    assert content["likely_causes"] == []
+    assert any("was interrupted before" in warning for warning in content["warnings"])
+    kept = len(list((out / "evaluations").glob("*.npz")))
+    (advice,) = [line for line in capsys.readouterr().err.splitlines() if "resume with" in line]
+
+    again = Runs(monkeypatch)
+    assert main(shlex.split(advice.split("resume with: derjax ")[1])) == 0
+    assert again.done > 0
+    assert kept > 4
+    assert "a steady drift" in numbers(out)["likely_causes"][0]["sentence"]
+    assert names(out) == {"fit.json"}
+
+
+def test_a_fit_that_ran_out_of_iterations_goes_on(path, monkeypatch, capsys) -> None:
+    """With more of them, and without simulating again what it has simulated."""
+    monkeypatch.setattr("fitting.cli.calibrate", partial(calibrate, explored=False))
+    out = path.parent / "out"
+    argv = ["fit", str(path), "-o", str(out), "--no-figures", "--max-iterations", "2"]
+    with monkeypatch.context() as patch:
+        first = Runs(patch)
+        assert main(argv) == 2
+    assert numbers(out)["status"] == "max_iterations"
+    assert numbers(out)["likely_causes"] == []  # of a misfit that is none yet
+    assert names(out) == {"fit.json", "evaluations"}
+    (advice,) = [line for line in capsys.readouterr().err.splitlines() if "go on with" in line]
+    assert advice.endswith("--max-iterations 4 --no-figures --resume")
+    more = [*argv[:-1], "30"]
+    with monkeypatch.context() as patch:
+        second = Runs(patch)
+        assert main([*more, "--resume"]) == 0
+    assert names(out) == {"fit.json"}
+    resumed = numbers(out)
+    alone = Runs(monkeypatch)
+    assert main([*more, "--overwrite"]) == 0
+    assert first.done + second.done == alone.done
+    assert numbers(out) == resumed
 
 
 def test_an_unfinished_fit_is_not_lost(unfinished, capsys, nothing_simulated) -> None:
