@@ -53,15 +53,25 @@ def measure(end: float, rounds: int) -> list[dict[str, object]]:
     """A row for each batch, on the devices of this process."""
     file = SceneFile.model_validate({"time": {"end": end}})
     n_frames, steps = file.n_frames, file.steps_per_frame
-    march = jax.jit(derjax.march, static_argnums=(2, 3))
+    march_frames = jax.jit(derjax.march_frames, static_argnums=(2, 3))
 
     def single(k: int) -> Callable[[], object]:
         numbers = {"rpm": RATES[k], "C_t": PREFACTORS[k]}
-        return lambda: march(*derjax.build(file, numbers), n_frames, steps)
+
+        def run() -> object:
+            scene = derjax.build(file, numbers)
+            return march_frames(scene, scene.start, n_frames, steps)
+
+        return run
 
     def together(runs: np.ndarray, lanes: int) -> Callable[[], object]:
         numbers = {"rpm": RATES[runs], "C_t": PREFACTORS[runs]}
-        return lambda: advance(spread(*build_many(file, numbers)), n_frames, steps, lanes)[1]
+
+        def run() -> object:
+            scenes = build_many(file, numbers)
+            return advance(spread(scenes, scenes.start), n_frames, steps, lanes)[1]
+
+        return run
 
     chosen = {size: np.linspace(0, RUNS - 1, size).round().astype(int) for size, _ in BATCHES}
     chosen[1] = np.array([RUNS // 2])

@@ -35,9 +35,9 @@ import pandas as pd
 from jaxtyping import Array, Float
 
 import derjax
-from derjax import Report, Scene, SceneFile, State
+from derjax import RolloutStats, Scene, SceneFile, State
+from derjax.frames import new_stats
 from derjax.progress import Progress
-from derjax.rollout import new_report
 
 PITCHES = (5, 7, 9)
 RPM = (30.0, 50.0, *np.arange(75.0, 301.0, 25.0).tolist())
@@ -79,7 +79,7 @@ class Length(NamedTuple):
 
     time: np.ndarray
     ratio: np.ndarray
-    report: Report
+    report: RolloutStats
 
 
 class Measured(NamedTuple):
@@ -132,16 +132,17 @@ def head_to_tail(scene: Scene, q: Array) -> Float[Array, " t"]:
 
 
 @jax.jit
-def _advance(scene: Scene, state: State, report: Report) -> tuple[State, Array, Report]:
-    states, report = derjax.rollout(scene, state, STEPS_PER_CALL, 1, report)
+def _advance(scene: Scene, state: State, report: RolloutStats) -> tuple[State, Array, RolloutStats]:
+    states, report = derjax.roll_frames(scene, state, STEPS_PER_CALL, 1, report)
     return jax.tree.map(lambda x: x[-1], states), head_to_tail(scene, states.q), report
 
 
 def simulate(file: SceneFile, rpm: float) -> Length:
     """Run a scene at a motor rate, from rest; stops at the first step that fails."""
-    built, state = derjax.build(file, {"rpm": rpm})
+    built = derjax.build(file, {"rpm": rpm})
+    state = built.start
     lengths = [np.atleast_1d(head_to_tail(built, state.q))]
-    report, n_steps = new_report(), file.n_steps
+    report, n_steps = new_stats(), file.n_steps
     with Progress(n_steps, "steps") as progress:
         for done in range(0, n_steps, STEPS_PER_CALL):
             state, length, report = _advance(built, state, report)

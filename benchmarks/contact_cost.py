@@ -34,13 +34,14 @@ def scene(**tables: dict) -> SceneFile:
     return SceneFile.model_validate({"robot": robot, "time": time, **tables})
 
 
-_rollout = jax.jit(derjax.rollout, static_argnums=(2, 3))
+_rollout = jax.jit(derjax.roll_frames, static_argnums=(2, 3))
 
 
 def bundled() -> derjax.State:
     """The state after some time with contact."""
     file = scene(contact={"capacity": 400})
-    built, state = derjax.build(file)
+    built = derjax.build(file)
+    state = built.start
     states, report = _rollout(built, state, file.n_frames, STEPS)
     report.raise_if_failed()
     return jax.tree.map(lambda leaf: leaf[-1], states)
@@ -59,13 +60,13 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
     arguments = parser.parse_args()
     scenes = {name: derjax.build(scene(**tables)) for name, tables in VARIANTS.items()}
-    states = {"nothing touches": scenes["contact"][1], "bundle": bundled()}
+    states = {"nothing touches": scenes["contact"].start, "bundle": bundled()}
     rows = []
     for where, state in states.items():
         samples = {name: [] for name in scenes}
         iterations = {}
         for k in range(ROUNDS + 1):
-            for name, (built, _) in scenes.items():
+            for name, built in scenes.items():
                 spent, iterations[name] = seconds(built, state)
                 if k:  # the first round compiles
                     samples[name].append(spent)

@@ -79,12 +79,13 @@ def scene(rpm: int, end: float = 40.0, **tables: dict) -> SceneFile:
     )
 
 
-_rollout = jax.jit(derjax.rollout, static_argnums=(2, 3))
+_rollout = jax.jit(derjax.roll_frames, static_argnums=(2, 3))
 
 
 def simulate(file: SceneFile) -> Track:
     """Run a scene; raises `SolverError` if a step fails."""
-    built, start = derjax.build(file)
+    built = derjax.build(file)
+    start = built.start
     states, report = _rollout(built, start, file.n_frames, file.steps_per_frame)
     report.raise_if_failed()
     topology = built.rod.topology

@@ -48,8 +48,9 @@ def programs(n_steps: int) -> dict[str, Program]:
 
     def total(values: jax.Array) -> jax.Array:
         names = PARAMETERS[: len(values)]
-        scene, state = derjax.build(SCENE, dict(zip(names, values, strict=True)))
-        states, _ = derjax.rollout(scene, state, 1, n_steps)
+        scene = derjax.build(SCENE, dict(zip(names, values, strict=True)))
+        state = scene.start
+        states, _ = derjax.roll_frames(scene, state, 1, n_steps)
         return jnp.sum(states.q**2)
 
     def forward(count: int) -> Program:

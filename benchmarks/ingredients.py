@@ -22,7 +22,7 @@ import matplotlib.pyplot as plt
 import pandas as pd
 
 import derjax
-from derjax.rollout import march, new_report
+from derjax.frames import march_frames, new_report
 from derjax.runtime import use_one_blas_thread
 from derjax.scenefile import SceneFile
 
@@ -96,14 +96,15 @@ def step_program(built: derjax.Scene, state: derjax.State) -> dict[str, float]:
     }
 
 
-_march = jax.jit(march, static_argnums=2)
+_march = jax.jit(march_frames, static_argnums=2)
 
 
 def measure(steps: int) -> pd.DataFrame:
     """One row for each scene."""
     rows, runs = {}, {}
     for name in SCENES:
-        built, state = derjax.build(scene(name))
+        built = derjax.build(scene(name))
+        state = built.start
         rows[name] = {
             "scene": name,
             "terms": len(built.terms),

@@ -42,13 +42,14 @@ def scene(end: float) -> SceneFile:
 @partial(jax.jit, static_argnums=0)
 def start(file: SceneFile, relative: jax.Array):
     """Scene and state at a pitch relative to that of the file."""
-    return derjax.build(file, {"pitch": PITCH * relative})
+    scene = derjax.build(file, {"pitch": PITCH * relative})
+    return scene, scene.start
 
 
 @jax.jit
 def frame(built: derjax.Scene, state: derjax.State) -> tuple[derjax.State, jax.Array]:
     """The state after one more frame."""
-    states, report = derjax.rollout(built, state, 1, STEPS)
+    states, report = derjax.roll_frames(built, state, 1, STEPS)
     return jax.tree.map(lambda leaf: leaf[-1], states), report.status
 
 

@@ -24,9 +24,9 @@ import numpy as np
 import pandas as pd
 
 import derjax
-from derjax import Report, Scene, State
+from derjax import RolloutStats, Scene, State
 from derjax.bundling import contact_forces
-from derjax.rollout import new_report
+from derjax.frames import new_stats
 from derjax.runtime import enable_compilation_cache, use_one_blas_thread
 from derjax.scene import enlarge
 from derjax.scenefile import SceneFile
@@ -49,7 +49,7 @@ FINEST = {"scheme": "trbdf2", "step": 2e-3}
 COMPARED = 4.0
 """s, over which errors are compared."""
 
-_march = jax.jit(derjax.march, static_argnums=(2, 3))
+_march = jax.jit(derjax.march_frames, static_argnums=(2, 3))
 
 
 def scene(n_flagella: int, end: float, times: Mapping[str, Any] = ADAPTIVE) -> SceneFile:
@@ -81,15 +81,16 @@ class Frame(NamedTuple):
     """The state at the end of a frame, the report up to there, the scene, and processor time."""
 
     state: State
-    report: Report
+    report: RolloutStats
     scene: Scene
     seconds: float
 
 
 def frames(file: SceneFile) -> Iterator[Frame]:
     """A run frame by frame, up to its end or to the first step that fails."""
-    built, state = derjax.build(file)
-    report, count = new_report(), 0
+    built = derjax.build(file)
+    state = built.start
+    report, count = new_stats(), 0
     compiled = _march.lower(built, state, 1, file.steps_per_frame, report).compile()
     while count < file.n_frames and report.ok:
         began = time.process_time()

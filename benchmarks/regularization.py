@@ -30,7 +30,7 @@ import pandas as pd
 from scipy.optimize import brentq
 
 import derjax
-from derjax.rollout import march, new_report
+from derjax.frames import march_frames, new_report
 from derjax.runtime import enable_compilation_cache, use_one_blas_thread
 from derjax.scenefile import SceneFile
 from derjax.summary import summarise
@@ -142,7 +142,7 @@ def equivalents() -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-_march = jax.jit(march, static_argnums=2)
+_march = jax.jit(march_frames, static_argnums=2)
 
 
 def robots() -> pd.DataFrame:
@@ -154,11 +154,12 @@ def robots() -> pd.DataFrame:
             times = {"end": END, "scheme": "euler", "tolerance": TOLERANCE}
             plain = SceneFile.model_validate({"robot": {"edge_length": mesh}, "time": times})
             # eps stays out of the scene file, so that there is one program for every mesh.
-            scene, state = derjax.build(plain, {"regularization": ratio * radius})
+            scene = derjax.build(plain, {"regularization": ratio * radius})
+            state = scene.start
             steps = jnp.asarray(plain.steps_per_frame)
             states, report = _march(scene, state, plain.n_frames, steps, new_report())
             frames = jax.tree.map(lambda a, b: np.concatenate([a[None], b]), state, states)
-            summary = summarise(to_dataset(plain, scene, frames))
+            summary = summarise(to_dataset(scene, frames))
             edge = float(scene.rod.rest_length[0])
             rows.append(
                 {

@@ -23,7 +23,7 @@ from jaxtyping import Array, Float
 
 from benchmarks.rigid import propulsion, rigid_resistance, stokeslet_resistance
 from derjax import SceneFile
-from derjax.robots import edge_count, helix, helix_contour, single_flagellum
+from derjax.shapes import edge_count, helix, helix_contour, single_flagellum
 
 BLOBS = {"1.67e-4 m": 1.67e-4, "1.02 r0": 1.02 * 1.6e-3, "sqrt(e) r0": np.sqrt(np.e) * 1.6e-3}
 PITCHES = (5, 7, 9)

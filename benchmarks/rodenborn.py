@@ -27,7 +27,7 @@ from benchmarks.rigid import (
     rigid_resistance,
     stokeslet_resistance,
 )
-from derjax.robots import helix
+from derjax.shapes import helix
 from derjax.terms.resistive import gray_hancock, lighthill
 
 EXPERIMENT = Path(__file__).parent.parent / "data" / "rodenborn_2013.csv"

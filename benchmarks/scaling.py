@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 import derjax
-from derjax.rollout import new_report
+from derjax.frames import new_report
 from derjax.runtime import enable_compilation_cache, use_one_blas_thread
 from derjax.scenefile import SceneFile
 
@@ -34,7 +34,7 @@ STEPS = 5
 LARGE = 200
 """Nodes from which on growth is fitted."""
 
-_march = jax.jit(derjax.march, static_argnums=(2, 3))
+_march = jax.jit(derjax.march_frames, static_argnums=(2, 3))
 
 
 def many(n_flagella: int, method: str) -> SceneFile:
@@ -63,7 +63,8 @@ def _scene(robot: dict, fluid: dict, method: str) -> SceneFile:
 
 def measure(way: str, file: SceneFile) -> dict[str, object]:
     """One row."""
-    scene, state = derjax.build(file)
+    scene = derjax.build(file)
+    state = scene.start
     began = time.perf_counter()
     compiled = _march.lower(scene, state, 1, STEPS, new_report()).compile()
     compile_s = time.perf_counter() - began

@@ -17,8 +17,8 @@ from scipy.optimize import brentq
 
 import derjax
 from derjax import SceneFile
+from derjax.frames import march_frames
 from derjax.rod import positions
-from derjax.rollout import march
 from derjax.runtime import use_one_blas_thread
 from derjax.summary import summarise
 from derjax.trajectory import to_dataset
@@ -27,7 +27,7 @@ from .tables import write
 
 RPM = (60.0, 100.0)
 
-_march = jax.jit(march, static_argnums=(2, 3))
+_march = jax.jit(march_frames, static_argnums=(2, 3))
 
 
 def scene(rpm: float, spin_drag: bool) -> SceneFile:
@@ -42,10 +42,11 @@ def motion(file: SceneFile, C_r: float) -> dict[str, float]:
     Without inertia to speak of the torque of the motor is that of the drag on the head. That of
     spin drag about the axis is the sum of 4 pi mu r_0^2 l t_x^2 times the flagellum's rate.
     """
-    built, state = derjax.build(file, {"C_r": C_r})
+    built = derjax.build(file, {"C_r": C_r})
+    state = built.start
     states, report = _march(built, state, file.n_frames, file.steps_per_frame)
     report.raise_if_failed()
-    summary = summarise(to_dataset(file, built, jax.tree.map(np.asarray, states)))
+    summary = summarise(to_dataset(built, jax.tree.map(np.asarray, states)))
     rate, p = summary["head_rate_rad_per_s"], file.parameters
     torque = 8 * np.pi * p["viscosity"] * p["head_radius"] ** 3 * C_r * abs(rate)
     topology = built.rod.topology

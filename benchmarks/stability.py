@@ -46,11 +46,11 @@ from matplotlib.colors import ListedColormap
 from pydantic import ValidationError
 
 import derjax
-from derjax import InputError, Report, Scene, SceneFile, State, Status
+from derjax import InputError, RolloutStats, Scene, SceneFile, State, Status
 from derjax.files import atomic_path
+from derjax.frames import SEGMENTS, TRIES, _attempt, _going, _Run, new_stats
 from derjax.progress import Progress, interruptible
 from derjax.pytree import replace
-from derjax.rollout import SEGMENTS, TRIES, _attempt, _going, _Run, new_report
 from derjax.runtime import enable_compilation_cache, use_one_blas_thread
 from derjax.scene import build_unchecked
 from derjax.scenefile import TOLERANCES, MotorTable, Time, check
@@ -303,7 +303,7 @@ class Run(NamedTuple):
     """
 
     state: State
-    report: Report
+    report: RolloutStats
     seconds: float
     slow: bool
 
@@ -318,7 +318,7 @@ class Run(NamedTuple):
 
 @jax.jit
 def _tries(scene: Scene, now: _Run, most: int) -> _Run:
-    """What `derjax.rollout.march` does in a frame, but not more than so many tries of it.
+    """What `derjax.frames.march_frames` does in a frame, but not more than so many tries of it.
 
     A try may take half a minute where everything goes wrong, and a frame has up to 1,024.
     """
@@ -339,7 +339,7 @@ def run(scene: Scene, state: State, times: Time, limit: float) -> Run:
     adapts, per_frame = scene.control is not None, times.steps_per_frame
     whole = np.float64(per_frame * times.step) if adapts else np.int32(per_frame)
     few = 64 if scene.rod.topology.n_nodes < 100 else 1
-    now = jax.tree.map(np.asarray, _Run(state, new_report(), whole))
+    now = jax.tree.map(np.asarray, _Run(state, new_stats(), whole))
     _tries(scene, now, 0)  # compiles
     began = time.process_time()
     for _ in range(times.n_frames):
@@ -383,7 +383,8 @@ def scene_of(value: Value, times: dict[str, Any]) -> tuple[SceneFile, Scene, Sta
         padded = [*value.motor, *((value.end + 1.0 + k, value.motor[-1][1]) for k in ends)]
         instants, rates = zip(*padded, strict=True)
         plain = plain.model_copy(update={"motor_table": MotorTable(time=instants, rpm=rates)})
-    scene, state = build_unchecked(plain, value.numbers | value.unchecked)
+    scene = build_unchecked(plain, value.numbers | value.unchecked)
+    state = scene.start
     return checked, scene, state
 
 

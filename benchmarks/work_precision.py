@@ -42,9 +42,9 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from scipy.interpolate import CubicSpline
 
 import derjax
+from derjax.frames import march_frames, new_report
 from derjax.pytree import replace
 from derjax.rod import positions
-from derjax.rollout import march, new_report
 from derjax.runtime import enable_compilation_cache, use_one_blas_thread
 from derjax.scene import enlarge
 from derjax.scenefile import TOLERANCES as DEFAULTS
@@ -232,12 +232,13 @@ class Runs:
         if setting in self:
             return
         file = setting.file
-        scene, state = derjax.build(file)
+        scene = derjax.build(file)
+        state = scene.start
         states, report, seconds, compiling = self._run(setting, scene, state)
         frames = jax.tree.map(lambda a, b: np.concatenate([a[None], b]), state, states)
         summary = dict.fromkeys(("v_x_m_per_s", "head_rate_rad_per_s"), np.nan)
         if report.ok:
-            summary = summarise(to_dataset(file, scene, frames))
+            summary = summarise(to_dataset(scene, frames))
         nodes = np.asarray(jax.vmap(lambda q: positions(scene.rod.topology, q))(frames.q))
         helices = [path[2:] for path in scene.rod.topology.filaments]  # after the motor's shaft
         moved = np.stack([(nodes - nodes[:1])[:, path] for path in helices], axis=1)
@@ -264,7 +265,8 @@ class Runs:
         seconds = run.numbers["seconds"]
         if run.numbers["message"] or min(seconds) > LONG or len(seconds) >= rounds:
             return
-        seconds.append(self._run(setting, *derjax.build(setting.file))[2])
+        scene = derjax.build(setting.file)
+        seconds.append(self._run(setting, scene, scene.start)[2])
         self._keep(setting, run)
 
     def _run(self, setting: Setting, scene: derjax.Scene, state: derjax.State) -> tuple:
@@ -295,7 +297,7 @@ class Runs:
         return states, report, seconds, compiling
 
 
-_march = jax.jit(march, static_argnums=2)
+_march = jax.jit(march_frames, static_argnums=2)
 
 
 # Errors ---------------------------------------------------------------------------------------
@@ -353,7 +355,8 @@ def orders(quick: bool) -> pd.DataFrame:
                 {"fluid": {"hydrodynamics": drag}, "time": times, "solver": {"tolerance": 1e-12}}
             )
             jax.clear_caches()
-            scene, state = derjax.build(file)
+            scene = derjax.build(file)
+            state = scene.start
             start = _end(scene, state, 200)
 
             def nodes(scheme, count, scene=scene, start=start):

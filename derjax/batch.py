@@ -1,7 +1,7 @@
 """Many runs of scenes of one structure, as one compiled program on all devices.
 
-    scenes, states = build_many(file, {"rpm": rates, "C_t": prefactors})
-    frames, reports = march_many(scenes, states, n_frames, steps_per_frame)
+    scenes = build_many(file, {"rpm": rates, "C_t": prefactors})
+    frames, reports = march_many(scenes, scenes.start, n_frames, steps_per_frame)
 
 Scenes, states and reports of a batch are those of one run with a leading axis b, that of the
 runs, on every leaf. So parameters, motor rates and initial states may all differ, while the
@@ -37,9 +37,9 @@ from jax.experimental import multihost_utils
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Int
 
+from .frames import RolloutStats, march_frames, new_stats
 from .pytree import replace
 from .rod import State
-from .rollout import Report, march, new_report
 from .scene import build
 from .scenefile import SceneFile
 from .status import Status
@@ -70,7 +70,7 @@ class Batch:
 
     scenes: Scene
     states: State
-    reports: Report
+    reports: RolloutStats
     places: Int[np.ndarray, " p"]
     mesh: Mesh
 
@@ -102,8 +102,10 @@ def use_all_processors() -> None:
         return
 
 
-def build_many(scene: SceneFile, parameters: Mapping[str, Any]) -> tuple[Scene, State]:
-    """The scenes and states of `build`, with a leading axis b, for many values of parameters.
+def build_many(scene: SceneFile, parameters: Mapping[str, Any]) -> Scene:
+    """The scenes of `build`, with a leading axis b, for many values of parameters.
+
+    They do not know their file, so that scenes of files that differ in numbers alone are alike.
 
     Choices, and with them the number of nodes and the pairs of edges that may touch, are those of
     `scene` itself.
@@ -113,7 +115,7 @@ def build_many(scene: SceneFile, parameters: Mapping[str, Any]) -> tuple[Scene, 
         parameters: of each that varies b values, by the keys of `scene.parameters`.
     """
     values = {name: jnp.asarray(value, float) for name, value in parameters.items()}
-    return jax.vmap(lambda p: build(scene, p))(values)
+    return jax.vmap(lambda p: replace(build(scene, p), source=None))(values)
 
 
 def stack(trees: Sequence[T]) -> T:
@@ -134,7 +136,7 @@ def pick(tree: T, chosen: Any) -> T:
 def spread(
     scenes: Scene,
     states: State,
-    reports: Report | None = None,
+    reports: RolloutStats | None = None,
     devices: Sequence[Any] | None = None,
     places: int | None = None,
 ) -> Batch:
@@ -151,7 +153,7 @@ def spread(
     devices = jax.devices() if devices is None else list(devices)
     mesh = Mesh(np.array(devices), (AXIS,))
     count = len(states.time)
-    reports = repeat(new_report(), count) if reports is None else reports
+    reports = repeat(new_stats(), count) if reports is None else reports
     rows = -(-max(count, places or 0) // len(devices))
     # Neighbours go to different devices, as those in a sweep take about equally long.
     run = np.arange(rows * len(devices)).reshape(rows, -1).T.ravel()
@@ -168,7 +170,7 @@ def spread(
     def placed(tree: T) -> T:
         return jax.tree.map(lambda leaf: np.asarray(leaf)[run], tree)
 
-    laid: tuple[Scene, State, Report] = jax.tree.map(
+    laid: tuple[Scene, State, RolloutStats] = jax.tree.map(
         lay_out,
         (
             placed(scenes),
@@ -182,7 +184,7 @@ def spread(
 def advance(
     batch: Batch, n_frames: int, steps_per_frame: int, lanes: int | None = None
 ) -> tuple[Batch, State]:
-    """`march` for every run of a batch, in one program.
+    """`march_frames` for every run of a batch, in one program.
 
     Args:
         batch: the runs, as `spread` or this function returns them.
@@ -211,14 +213,14 @@ def _advance(
     lanes: int,
     scenes: Scene,
     states: State,
-    reports: Report,
-) -> tuple[State, Report, State]:
-    def one(run: tuple[Scene, State, Report]) -> tuple[State, Report, State]:
+    reports: RolloutStats,
+) -> tuple[State, RolloutStats, State]:
+    def one(run: tuple[Scene, State, RolloutStats]) -> tuple[State, RolloutStats, State]:
         scene, state, report = run
-        frames, report = march(scene, state, n_frames, steps_per_frame, report)
+        frames, report = march_frames(scene, state, n_frames, steps_per_frame, report)
         return pick(frames, -1), report, frames
 
-    def of_device(*runs: Any) -> tuple[State, Report, State]:
+    def of_device(*runs: Any) -> tuple[State, RolloutStats, State]:
         if lanes == ALL:
             return jax.vmap(one)(runs)
         return lax.map(one, runs, batch_size=None if lanes == 1 else lanes)
@@ -265,11 +267,11 @@ def march_many(
     states: State,
     n_frames: int,
     steps_per_frame: int,
-    reports: Report | None = None,
+    reports: RolloutStats | None = None,
     devices: Sequence[Any] | None = None,
     lanes: int | None = None,
-) -> tuple[State, Report]:
-    """`march` for b runs: the states at the ends of frames (b, f, ...) and b reports.
+) -> tuple[State, RolloutStats]:
+    """`march_frames` for b runs: the states at the ends of frames (b, f, ...) and b reports.
 
     Arguments as of `spread` and `advance`. The results are on the host, those of all runs
     in every process.

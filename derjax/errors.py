@@ -9,5 +9,9 @@ class InputWarning(UserWarning):
     """Something that the user gave can be used, but perhaps not as it was meant."""
 
 
+class SolverWarning(RuntimeWarning):
+    """A step failed, and a run ends where it began; the message says when, and what to try."""
+
+
 class WriteWarning(UserWarning):
     """A file could not be written; what is done goes on without it."""

@@ -13,15 +13,15 @@ import jax
 import numpy as np
 
 from .files import atomic_path
+from .frames import RolloutStats, march_frames, new_stats
 from .rod import State
-from .rollout import Report, march, new_report
 from .scenefile import InputError, SceneFile
 from .status import Status
 from .step import Scene
 
-Advance = Callable[[State, Report], tuple[State, Report]]
+Advance = Callable[[State, RolloutStats], tuple[State, RolloutStats]]
 
-_march = jax.jit(march, static_argnums=(2, 3))
+_march = jax.jit(march_frames, static_argnums=(2, 3))
 
 
 @dataclasses.dataclass
@@ -36,7 +36,7 @@ class Recording:
     """
 
     frames: list[State]
-    report: Report
+    report: RolloutStats
     wall_time: float = 0.0
     compile_time: float = 0.0
 
@@ -53,7 +53,7 @@ class Recording:
 
 def new_recording(state: State) -> Recording:
     """The recording of a run that starts in `state`."""
-    return Recording([jax.device_get(state)], jax.device_get(new_report()))
+    return Recording([jax.device_get(state)], jax.device_get(new_stats()))
 
 
 def compile_frame(scene: Scene, recording: Recording, steps_per_frame: int) -> Advance:
@@ -130,7 +130,7 @@ def load_checkpoint(scene: SceneFile, path: Path) -> Recording:
     n_frames = len(stacked.time)
     return Recording(
         [jax.tree.map(lambda leaf, k=k: leaf[k], stacked) for k in range(n_frames)],
-        Report(**_fields(arrays, "report.")),
+        RolloutStats(**_fields(arrays, "report.")),
         *arrays["seconds"].tolist(),
     )
 

@@ -1,6 +1,6 @@
 """From a scene file to the terms that it names: the registry of physical ingredients."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -15,6 +15,7 @@ from .control import Control
 from .defaults import SLIP
 from .motor import Motor
 from .newton import NewtonSettings
+from .parameters import PLACES
 from .provenance import check_sums
 from .pytree import Indices, replace
 from .rod import Rod, State, Topology, at_rest
@@ -48,8 +49,8 @@ SHORTEST = 1e-6
 """The shortest that steps that adapt may become, over the first."""
 
 
-def build(scene: SceneFile, parameters: Parameters | None = None) -> tuple[Scene, State]:
-    """The scene that a file describes, and the state in which it starts, at rest.
+def build(scene: SceneFile, parameters: Parameters | None = None) -> Scene:
+    """The scene that a file describes; its `start` is the robot at rest.
 
     A smooth function of `parameters`, so that a rollout may be differentiated with respect to
     any of them. The number of nodes, steps and frames are those of the file's own numbers.
@@ -76,7 +77,7 @@ def build(scene: SceneFile, parameters: Parameters | None = None) -> tuple[Scene
     return _assembled(scene, given, scene.parameters_with(given))
 
 
-def build_unchecked(scene: SceneFile, parameters: Parameters) -> tuple[Scene, State]:
+def build_unchecked(scene: SceneFile, parameters: Parameters) -> Scene:
     """`build`, with parameters that are not checked: as if JAX traced them.
 
     Raises:
@@ -87,13 +88,58 @@ def build_unchecked(scene: SceneFile, parameters: Parameters) -> tuple[Scene, St
     return _assembled(scene, parameters, scene.parameters)
 
 
-def _assembled(scene: SceneFile, given: Parameters, shape: Parameters) -> tuple[Scene, State]:
+def _assembled(scene: SceneFile, given: Parameters, shape: Parameters) -> Scene:
     """The scene with some parameters given; those of `shape` say which edges may touch."""
     pairs = touching_pairs(scene, shape) if scene.touching else None
-    numbers = scene.parameters_with(given)
-    return _build(
-        scene, pairs, {name: jnp.asarray(value, float) for name, value in numbers.items()}
-    )
+    numbers = {
+        name: jnp.asarray(value, float) for name, value in scene.parameters_with(given).items()
+    }
+    return replace(_build(scene, pairs, numbers), source=Source(scene, given))
+
+
+class Source:
+    """The file that a scene was built from, and which parameters were given in its place.
+
+    Part of the structure of scenes: compared without the values of parameters, which scenes have
+    as leaves of their own, so that scenes that differ in those alone share compiled programs.
+
+    Attributes:
+        file: the scene file.
+        given: those parameters that replaced others which in the file follow from the rest.
+    """
+
+    def __init__(self, file: SceneFile, given: Iterable[str]) -> None:
+        self.file = file
+        self.given = frozenset(name for name in given if file.given[name] is None)
+        content = file.model_dump(mode="json")
+        for name in file.parameters:
+            table, key = PLACES[name].split(".")
+            if content[table][key] is not None:  # None: it follows from the others
+                content[table][key] = "a number"
+        times = file.motor_table and file.motor_table.time
+        self._key = str((content, times, sorted(self.given)))
+        self._hash = hash(self._key)
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Source) and self._key == other._key
+
+    def __repr__(self) -> str:
+        return f"Source({self.file.robot.kind})"
+
+    def rebuilt(self, scene: Scene, changes: Parameters) -> Scene:
+        """The scene with other parameters; see `Scene.replace`."""
+        _check_names(self.file, changes)
+        open_ = {name for name, value in self.file.given.items() if value is None} - self.given
+        kept = {name: value for name, value in scene.parameters.items() if name not in open_}
+        new = build(self.file, {**kept, **changes})
+        return replace(
+            new,
+            terms=(*new.terms, *scene.terms[len(new.terms) :]),
+            source=Source(self.file, self.given | changes.keys()),
+        )
 
 
 def _check_names(scene: SceneFile, given: Parameters) -> None:
@@ -129,11 +175,11 @@ def enlarge(scene: Scene) -> Scene:
 
 
 @partial(jax.jit, static_argnums=(0, 1))  # as one program: quicker than operation by operation
-def _build(scene: SceneFile, pairs: Indices | None, p: dict[str, Array]) -> tuple[Scene, State]:
+def _build(scene: SceneFile, pairs: Indices | None, p: dict[str, Array]) -> Scene:
     body = body_of(scene, p)
     rod, state = at_rest(body.topology, body.nodes)
     terms = tuple(_terms(scene, p, rod, body.stiff_hinges, pairs))
-    built = Scene(
+    return Scene(
         rod=rod,
         terms=terms,
         motor=_motor(scene, p, rod.topology),
@@ -144,8 +190,8 @@ def _build(scene: SceneFile, pairs: Indices | None, p: dict[str, Array]) -> tupl
         layout=_layout(scene, rod.topology),
         parameters=p,
         check_sums=check_sums(terms),
+        initial=state,
     )
-    return built, state
 
 
 def _terms(

@@ -314,6 +314,15 @@ class SceneFile(Table):
     solver: Solver = Solver()
     motor_table: MotorTable | None = Field(default=None, exclude=True)
 
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> "SceneFile":
+        """The scene file with these tables, as `{"robot": {"pitch": 0.05}}`.
+
+        Raises:
+            InputError: an unknown key or a value that cannot be; the message names table and key.
+        """
+        return checked(cls, content)
+
     @model_validator(mode="after")
     def _local(self) -> Self:
         robot, regularization = self.robot, self.regularization
@@ -485,7 +494,7 @@ class SceneFile(Table):
 
         What the file does not give follows from the others, as far as it does so by default.
         """
-        return completed({**self._numbers, **others})
+        return completed({**self.given, **others})
 
     def with_parameters(self, numbers: Mapping[str, Any]) -> "SceneFile":
         """The file in which some of the parameters stand with these numbers, checked.
@@ -518,7 +527,7 @@ class SceneFile(Table):
         motor is left as it is.
         """
         content = self.model_dump(mode="json")
-        given = self._numbers
+        given = self.given
         following = self.parameters_with({k: v for k, v in numbers.items() if given[k] is not None})
         for name, number in numbers.items():
             as_usual = given[name] is None and np.isclose(number, following[name], 1e-12, 0)
@@ -527,7 +536,7 @@ class SceneFile(Table):
         return content
 
     @property
-    def _numbers(self) -> dict[str, Any]:
+    def given(self) -> dict[str, Any]:
         """The parameters that the file gives or has defaults for; None for those that follow."""
         robot, material, fluid, head = self.robot, self.material, self.fluid, self.head
         numbers = {

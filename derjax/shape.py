@@ -12,7 +12,9 @@ from jaxtyping import Array, Float
 
 from .neighbours import PENETRATION, pairs_apart
 from .pytree import Indices
-from .robots import (
+from .scenefile import InputError, SceneFile
+from .segments import distance
+from .shapes import (
     Body,
     arc,
     around,
@@ -24,8 +26,6 @@ from .robots import (
     single_flagellum,
     two_flagella,
 )
-from .scenefile import InputError, SceneFile
-from .segments import distance
 
 SHAPE = ("helix_radius", "pitch", "axial_length", "rod_radius", "separation", "bend")
 """The parameters that say which edges may touch."""

@@ -97,7 +97,8 @@ def simulate(options: Options) -> int:
 def _simulate(options: Options, file: SceneFile, sources: dict[str, str], output: Output) -> int:
     """`simulate`, with the contents of all files, in a directory that can be written to."""
     try:
-        scene, start = build(file)
+        scene = build(file)
+        start = scene.start
     except InputError as error:
         raise InputError(f"{options.scene}: {error}") from None
     checkpoint = options.output / CHECKPOINT
@@ -242,7 +243,7 @@ def _write_results(
         "command": options.command(),
         **texts,
     }
-    dataset = trajectory.to_dataset(file, scene, recording.stacked, attributes)
+    dataset = trajectory.to_dataset(scene, recording.stacked, attributes)
     report = recording.report
     summary = {
         "status": texts["status"],

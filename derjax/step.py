@@ -13,11 +13,13 @@ which is that where the rod is expected to be.
 
 from collections.abc import Callable
 from dataclasses import field
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .blocks import Layout
@@ -25,12 +27,14 @@ from .control import Control
 from .motor import Motor
 from .newton import NewtonInfo, NewtonSettings, equilibrium
 from .potential import Dofs, Mobility, Potential, gather
-from .provenance import CheckSums
+from .provenance import CheckSums, changed
 from .pytree import pytree, replace, static
 from .rod import Rod, State, carry_frames, positions, tangents
 from .saddle import Saddle, no_drag
 from .status import Status
 from .terms.term import Prediction, Stage, Term, contributions
+
+T = TypeVar("T", bound=Term)
 
 
 @pytree
@@ -67,6 +71,8 @@ class Scene:
         parameters: the numbers that the scene was built of, by their names in scene files and in
             the units that they have there: for the record, no step asks them.
         check_sums: of the terms that it was built with; see `provenance`.
+        initial: the state in which it starts, if that is known; see `start`.
+        source: the scene file that it was built from; None for scenes made in another way.
     """
 
     rod: Rod
@@ -79,6 +85,90 @@ class Scene:
     layout: Layout | None = None
     parameters: dict[str, Array] = field(default_factory=dict)
     check_sums: CheckSums = field(default_factory=dict)
+    initial: State | None = None
+    source: Any = static(default=None)
+
+    @property
+    def start(self) -> State:
+        """The state in which the scene starts: the robot at rest.
+
+        Raises:
+            ValueError: the scene was made by hand, without a state.
+        """
+        if self.initial is None:
+            raise ValueError("this scene has no initial state; give it one with initial=state")
+        return self.initial
+
+    def __getitem__(self, kind: type[T]) -> T:
+        """The one term of some kind, as `scene[derjax.Contact]`.
+
+        Raises:
+            KeyError: the scene has no such term, or several.
+        """
+        found = [term for term in self.terms if isinstance(term, kind)]
+        if len(found) != 1:
+            names = ", ".join(type(term).__name__ for term in self.terms)
+            raise KeyError(f"{len(found)} terms are a {kind.__name__}; the scene has {names}")
+        return found[0]
+
+    def replace(self, **parameters: Any) -> "Scene":
+        """The scene with some parameters changed, by name, as `scene.replace(pitch=0.05)`.
+
+        What does not follow from the parameters stays: terms that were added are kept.
+        Differentiable; also under `jax.jit`.
+
+        Args:
+            parameters: by the keys of `scene.parameters`, in the units that they have there.
+
+        Raises:
+            KeyError: a parameter that the scene does not have.
+            InputError: a number that cannot be.
+            ValueError: the scene was not built from a scene file, or one of the terms that it was
+                built with has been replaced.
+        """
+        if self.source is None:
+            raise ValueError(
+                "only scenes that were built from a scene file know how their parts follow from "
+                "parameters; use dataclasses.replace(scene, field=...) for parts of this one"
+            )
+        self._check_as_built()
+        return self.source.rebuilt(self, parameters)
+
+    def with_term(self, *terms: Term) -> "Scene":
+        """The scene with more physical ingredients."""
+        return replace(self, terms=(*self.terms, *terms))
+
+    def _check_as_built(self) -> None:
+        """Refuses to lose what has been done to terms that follow from parameters."""
+        built = self.terms[: len(self.check_sums)]
+        names = [type(term).__name__ for term in built]
+        if sorted(names) != sorted(self.check_sums):
+            raise ValueError(
+                f"the scene was built with the terms {', '.join(self.check_sums)}, and now has "
+                f"{', '.join(names)}: build it anew, and then change its terms"
+            )
+        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(self)):
+            return  # numbers that are traced cannot be compared
+        if others := changed(built, self.check_sums):
+            raise ValueError(
+                f"the numbers of {', '.join(others)} are not those that follow from the scene's "
+                "parameters: build it anew, and then change its terms"
+            )
+
+    def __repr__(self) -> str:
+        topology = self.rod.topology
+        size = f"{topology.n_nodes} nodes, {topology.n_edges} edges"
+        lines = [f"Scene of {size}, scheme {self.scheme.__name__}"]
+        lines.append("  terms: " + ", ".join(type(term).__name__ for term in self.terms))
+        lines += [f"  {name} = {_short(value)}" for name, value in self.parameters.items()]
+        return "\n".join(lines)
+
+
+def _short(value: Any) -> str:
+    """A number on a line: its value, or what JAX knows of it."""
+    if isinstance(value, Tracer) or not hasattr(value, "shape"):
+        return str(value)
+    return f"{float(value):.6g}" if np.ndim(value) == 0 else f"array of shape {np.shape(value)}"
 
 
 def expected_velocity(scene: Scene, state: State, ahead: Array) -> Dofs:

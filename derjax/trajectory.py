@@ -42,7 +42,10 @@ thousands of steps leaves 30.000000000002 s."""
 
 
 def to_dataset(
-    file: SceneFile, scene: Scene, states: State, attributes: Mapping[str, Any] | None = None
+    scene: Scene,
+    states: State,
+    attributes: Mapping[str, Any] | None = None,
+    file: SceneFile | None = None,
 ) -> xr.Dataset:
     """A trajectory, labelled.
 
@@ -50,10 +53,11 @@ def to_dataset(
     of its terms are not as they were built, the attribute `changed_terms` names them.
 
     Args:
-        file: the scene file, for its choices.
-        scene: what was built from it; its parameters become attributes.
-        states: the states, with a leading axis of time on every leaf, as `rollout` returns.
+        scene: what was run; its parameters become attributes.
+        states: the states, with a leading axis of time on every leaf, as `roll_frames` returns.
         attributes: more attributes of the data set, of text and numbers.
+        file: the scene file, for scenes that do not know theirs, as those of a batch; its choices
+            become an attribute.
 
     Returns:
         A data set with the dimensions time, node, axis, edge and motor.
@@ -95,7 +99,7 @@ def to_dataset(
             "number of the flagellum that the edge belongs to, -1 for the head",
         ),
     }
-    return xr.Dataset(variables, coordinates, _attributes(file, scene) | dict(attributes or {}))
+    return xr.Dataset(variables, coordinates, _attributes(scene, file) | dict(attributes or {}))
 
 
 def rounded(time: Any) -> np.ndarray:
@@ -272,14 +276,15 @@ def _bundle(scene: Scene, nodes: np.ndarray) -> dict[str, tuple[Any, ...]]:
     return variables
 
 
-def _attributes(file: SceneFile, scene: Scene) -> dict[str, Any]:
+def _attributes(scene: Scene, file: SceneFile | None) -> dict[str, Any]:
     """Versions, the scene's choices as JSON, and each of its parameters by name."""
+    file = scene.source.file if file is None and scene.source is not None else file
     parameters = {name: np.asarray(value) for name, value in scene.parameters.items()}
     others = changed(scene.terms, scene.check_sums)
     return {
         "derjax_version": version("derjax"),
         "jax_version": jax.__version__,
-        "scene_json": json.dumps(file.content(parameters)),
+        **({} if file is None else {"scene_json": json.dumps(file.content(parameters))}),
         "parameter_units": ", ".join(f"{name}: {UNITS[name]}" for name in parameters),
         **({"changed_terms": ", ".join(others)} if others else {}),
         **parameters,

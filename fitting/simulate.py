@@ -20,8 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from derjax import Report, Scene, SceneFile, State, build, rollout
-from derjax.rollout import march, new_report
+from derjax import RolloutStats, Scene, SceneFile, State, build, roll_frames
+from derjax.frames import march_frames, new_stats
 from derjax.terms.contact import Contact
 
 from .observe import observations, orientations
@@ -51,7 +51,7 @@ class Simulated:
     sensitivity: Float[np.ndarray, "t 4 p"]
     orientation: Float[np.ndarray, "t 3 3"]
     turning: Float[np.ndarray, "t 3 3 p"]
-    report: Report
+    report: RolloutStats
 
     @property
     def motion(self) -> Motion:
@@ -70,7 +70,8 @@ def build_with(
     scene: SceneFile, parameters: Parameters, free: Float[Array, " p"], rpm: Array
 ) -> tuple[Scene, State]:
     """The scene at a free vector and a motor rate; differentiable, and may be compiled."""
-    return build(scene, {**parameters.values(free), "rpm": rpm})
+    built = build(scene, {**parameters.values(free), "rpm": rpm})
+    return built, built.start
 
 
 def motor_rate(scene: SceneFile, run: Run) -> Array:
@@ -80,13 +81,13 @@ def motor_rate(scene: SceneFile, run: Run) -> Array:
 
 def simulate(
     scene: SceneFile, parameters: Parameters, free: Float[Array, " p"], rpm: Array, n_steps: int
-) -> tuple[Float[Array, "t 4"], Report]:
+) -> tuple[Float[Array, "t 4"], RolloutStats]:
     """Observations (m, rad) at steps 0 to `n_steps`; a function for JAX to differentiate.
 
     For reverse mode, which suits many parameters; see `Simulator` for few.
     """
     built, state = build_with(scene, parameters, free, rpm)
-    states, report = rollout(built, state, n_steps, 1)
+    states, report = roll_frames(built, state, n_steps, 1)
     whole = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), state, states)
     return observations(built.rod.topology, whole), report
 
@@ -118,13 +119,13 @@ def _continue(
     rpm: Array,
     state: State,
     tangents: State,
-    report: Report,
+    report: RolloutStats,
 ) -> Any:
     """`n_steps` more steps: ((state, observations), report), tangents of the former."""
 
     def go_on(free, state):
         built, _ = build_with(scene, parameters, free, rpm)
-        states, new = march(built, state, n_steps, 1, report)
+        states, new = march_frames(built, state, n_steps, 1, report)
         last = jax.tree.map(lambda x: x[-1], states)
         return (last, _seen(built, states)), new
 
@@ -155,7 +156,7 @@ class Simulator:
 
     def enlarged(self) -> "Simulator":
         """One whose lists of contacts have room for twice as many, which is another program."""
-        contacts = [t for t in build(self.scene)[0].terms if isinstance(t, Contact)]
+        contacts = [t for t in build(self.scene).terms if isinstance(t, Contact)]
         room = self.scene.contact.model_copy(update={"capacity": 2 * contacts[0].capacity})
         return replace(self, scene=self.scene.model_copy(update={"contact": room}))
 
@@ -184,7 +185,7 @@ class Simulator:
         z = jnp.asarray(free)
         (state, seen), (tangents, d_seen) = _begin(self.scene, self.parameters, z, rpm)
         seen_so_far, moved_so_far = [jax.device_get(seen)], [jax.device_get(d_seen)]
-        report = new_report()
+        report = new_stats()
         done = 0
         while done < n_steps and report.ok:
             ((state, seen), report), (tangents, d_seen) = _continue(

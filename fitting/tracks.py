@@ -201,7 +201,8 @@ def robot_length(scene: SceneFile) -> float:
 
 def _start_position(scene: SceneFile) -> np.ndarray:
     """(3,): the head node (m) of the scene at rest."""
-    built, state = build(scene)
+    built = build(scene)
+    state = built.start
     topology = built.rod.topology
     if topology.head is None:
         raise InputError("the scene's robot has no head to track")

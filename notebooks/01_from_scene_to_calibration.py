@@ -38,7 +38,7 @@ import numpy as np
 import pandas as pd
 from IPython.display import display
 
-from derjax import SceneFile, angles, build, load_scene, plots, positions, rollout, summary
+from derjax import SceneFile, angles, build, load_scene, plots, positions, roll_frames, summary
 from derjax.potential import gather
 from derjax.runtime import enable_compilation_cache
 from derjax.terms import Stage
@@ -94,7 +94,8 @@ file = load_scene(path)
 # the physical ingredients; one that a scene does not name is not in the compiled program.
 
 # %%
-scene, start = build(file)
+scene = build(file)
+start = scene.start
 topology = scene.rod.topology
 print("terms:", ", ".join(type(term).__name__ for term in scene.terms))
 print(f"{topology.n_nodes} nodes, {topology.n_edges} edges, {topology.n_dofs} degrees of freedom")
@@ -181,11 +182,11 @@ plt.close(figure)
 # %% [markdown]
 # ## 3. A run
 #
-# `rollout` takes the steps, in one compiled program. It returns the states at the end of every
+# `roll_frames` takes the steps, in one compiled program. It returns the states at the end of every
 # frame and a report; a step that fails never raises in compiled code, so the report must be asked.
 
 # %%
-run = jax.jit(rollout, static_argnums=(2, 3))
+run = jax.jit(roll_frames, static_argnums=(2, 3))
 states, report = run(scene, start, file.n_frames, file.steps_per_frame)
 report.raise_if_failed()
 print(f"{int(report.steps)} steps, {int(report.iterations)} Newton iterations: {report.message()}")
@@ -196,7 +197,7 @@ print(f"{int(report.steps)} steps, {int(report.iterations)} Newton iterations: {
 
 # %%
 whole = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, states)
-trajectory = to_dataset(file, scene, whole)
+trajectory = to_dataset(scene, whole)
 display(plots.shape(trajectory, moments=2))
 
 # %%
@@ -225,9 +226,10 @@ NAMES = ("C_t", "C_r", "youngs_modulus", "viscosity", "pitch", "helix_radius")
 nominal = jnp.log(jnp.array([file.parameters[name] for name in NAMES]))
 
 
-def swim(logarithms, run=rollout):
+def swim(logarithms, run=roll_frames):
     """Displacement (m) and angle (rad) of the head at the end of the run."""
-    built, rest = build(file, dict(zip(NAMES, jnp.exp(logarithms), strict=True)))
+    built = build(file, dict(zip(NAMES, jnp.exp(logarithms), strict=True)))
+    rest = built.start
     states, _ = run(built, rest, file.n_frames, file.steps_per_frame)
     end = jax.tree.map(lambda leaf: leaf[-1], states)
     moved = positions(topology, end.q - rest.q)[0, 0]

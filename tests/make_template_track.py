@@ -13,8 +13,9 @@ NOISE_MM, NOISE_RAD = 0.1, 0.02
 
 if __name__ == "__main__":
     file = derjax.load_scene(TEMPLATES / "scene.toml")
-    scene, start = derjax.build(file, TRUTH)
-    run = jax.jit(derjax.rollout, static_argnums=(2, 3))
+    scene = derjax.build(file, TRUTH)
+    start = scene.start
+    run = jax.jit(derjax.roll_frames, static_argnums=(2, 3))
     n_frames = round(file.time.end)
     states, report = run(scene, start, n_frames, file.n_steps // n_frames)
     report.raise_if_failed()

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from helpers import finite_difference_jvp, perturbed, share, stage_from
 
-from derjax import Scene, SceneFile, State, build, march, positions, rollout
+from derjax import Scene, SceneFile, State, build, march_frames, positions, roll_frames
 from derjax import neighbours as neighbourhood
 from derjax.blocks import Layout, multiply
+from derjax.frames import new_report
 from derjax.potential import Mobility, gather
 from derjax.pytree import Indices, replace
-from derjax.rollout import new_report
 from derjax.saddle import Saddle, no_drag
 from derjax.status import Status
 from derjax.step import predict
@@ -36,7 +36,8 @@ def both(name: str, **tables: Any) -> tuple[Scene, Scene, State]:
     """A small robot solved for with one matrix and in blocks of few nodes, and its start."""
     tables = {"time": {"step": 0.02, "end": 0.2}, "contact": {"method": "none"}} | tables
     file = SceneFile.model_validate({"robot": ROBOTS[name], **tables})
-    scene, state = build(file)
+    scene = build(file)
+    state = scene.start
     return scene, in_blocks(scene), state
 
 
@@ -131,7 +132,8 @@ def large() -> tuple[Scene, State, BlockStokeslets]:
     file = SceneFile.model_validate(
         {"robot": {"kind": "clamped", "n_flagella": 8}, "contact": {"method": "none"}}
     )
-    scene, state = build(file)
+    scene = build(file)
+    state = scene.start
     (drag,) = (t for t in scene.terms if isinstance(t, BlockStokeslets))
     return scene, state, drag
 
@@ -197,7 +199,7 @@ def test_short_steps_are_solved_as_well_as_rounding_permits(large):
     assert int(step.info.iterations) < 6
 
 
-run = jax.jit(march, static_argnums=(2, 3))
+run = jax.jit(march_frames, static_argnums=(2, 3))
 
 
 @every_robot
@@ -230,8 +232,9 @@ def test_derivatives_of_runs_in_blocks(name):
     def end(p: jax.Array) -> jax.Array:
         viscosity, rpm, radius = p * jnp.array([1.0, 60.0, 6.4e-3])
         numbers = {"viscosity": viscosity, "rpm": rpm, "helix_radius": radius}
-        scene, state = build(file, numbers)
-        states, _ = rollout(in_blocks(scene), state, 1, 3)
+        scene = build(file, numbers)
+        state = scene.start
+        states, _ = roll_frames(in_blocks(scene), state, 1, 3)
         return 1e3 * states.q[-1]
 
     at, along = jnp.ones(3), jnp.array([0.3, -0.5, 0.2])
@@ -255,7 +258,8 @@ def test_memory_grows_with_the_number_of_nodes_and_no_faster():
                 "contact": {"method": "none"},
             }
         )
-        scene, state = build(file)
+        scene = build(file)
+        state = scene.start
         compiled = run.lower(scene, state, 1, 1, new_report()).compile()
         sizes.append(compiled.memory_analysis().temp_size_in_bytes)
     assert np.log(sizes[1] / sizes[0]) / np.log(4) < 1.2
@@ -283,13 +287,13 @@ def test_groups_of_edges_find_what_all_pairs_find(rng, monkeypatch):
 def test_large_robots_are_solved_for_in_blocks_unless_told_otherwise():
     robot = {"kind": "clamped", "n_flagella": 8}
     tables = {"robot": robot, "contact": {"method": "none"}}
-    assert build(SceneFile.model_validate(tables))[0].layout is not None
+    assert build(SceneFile.model_validate(tables)).layout is not None
     dense = {**tables, "solver": {"method": "dense"}}
-    assert build(SceneFile.model_validate(dense))[0].layout is None
-    assert build(SceneFile())[0].layout is None
+    assert build(SceneFile.model_validate(dense)).layout is None
+    assert build(SceneFile()).layout is None
     with pytest.raises(ValueError, match=r"\[solver\] method"):
         SceneFile.model_validate(
             {"solver": {"method": "blocks"}, "fluid": {"drag_matrix": "collocation"}}
         )
     # 160 nodes, so close that blocks of them have no positive drag.
-    assert build(SceneFile.model_validate({"robot": {"edge_length": 8e-4}}))[0].layout is None
+    assert build(SceneFile.model_validate({"robot": {"edge_length": 8e-4}})).layout is None

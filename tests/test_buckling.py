@@ -17,8 +17,8 @@ from benchmarks.buckling import (
     robot,
     simulate,
 )
+from derjax.frames import new_report
 from derjax.pytree import replace
-from derjax.rollout import new_report
 from derjax.status import Status
 
 NAN = math.nan

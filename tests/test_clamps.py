@@ -50,7 +50,8 @@ def written(path: Path, text: str) -> SceneFile:
 
 def hanging(file: SceneFile) -> tuple[Rod, State]:
     """The rod of a scene, and its equilibrium under its own weight."""
-    scene, state = build(file)
+    scene = build(file)
+    state = scene.start
     terms = tuple(t for t in scene.terms if isinstance(t, Bend | Stretch | Twist | Gravity))
     assert len(terms) == 4
     return scene.rod, settled(scene.rod, state, terms, scene.rod.topology.clamped)
@@ -111,8 +112,9 @@ def twisted(path: Path, moment: float) -> float:
         acceleration = [0.0, 0.0, -1e-3]
     """
     file = written(path, text)
-    scene, state = build(file)
-    run = jax.jit(derjax.rollout, static_argnums=(2, 3))
+    scene = build(file)
+    state = scene.start
+    run = jax.jit(derjax.roll_frames, static_argnums=(2, 3))
     states, report = run(scene, state, file.n_frames, file.steps_per_frame)
     report.raise_if_failed()
     x = np.asarray(positions(scene.rod.topology, states.q))[-1]
@@ -156,7 +158,7 @@ def test_only_filaments_that_are_held_have_a_held_tip(tmp_path, kind):
 
 def test_hinges_beside_a_held_edge_have_half_the_length():
     robot: dict[str, Any] = {"kind": "clamped", "n_flagella": 1, "shape": "straight"}
-    scene, _ = build(SceneFile.model_validate({"robot": robot | {"clamped_tip": True}}))
+    scene = build(SceneFile.model_validate({"robot": robot | {"clamped_tip": True}}))
     length, edge = np.asarray(scene.rod.hinge_length), scene.rod.rest_length[0]
     np.testing.assert_allclose(length[[0, -1]], edge / 2, rtol=1e-12)
     np.testing.assert_allclose(length[1:-1], edge, rtol=1e-12)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from helpers import advance, elasticity, expand, held_dofs, order, potential, rest, rotation, share
 
-from derjax import Scene, State, Topology, positions, rollout
+from derjax import Scene, State, Topology, positions, roll_frames
 from derjax.neighbours import Neighbours, pairs_apart, search
 from derjax.newton import NewtonSettings
 from derjax.potential import Pairs, gather
@@ -496,7 +496,7 @@ def test_parallel_rods_slide_over_each_others_nodes_smoothly():
 
 # Collisions -----------------------------------------------------------------------------------
 
-many_steps = jax.jit(rollout, static_argnums=(2, 3))
+many_steps = jax.jit(roll_frames, static_argnums=(2, 3))
 STEPS = 400
 
 

@@ -54,8 +54,9 @@ def head_at_the_end(file: SceneFile, relative: jax.Array):
     `relative` are the parameters in units of their values in the scene.
     """
     values = {name: file.parameters[name] * relative[i] for i, name in enumerate(NAMES)}
-    scene, state = derjax.build(file, values)
-    states, report = derjax.rollout(scene, state, N_FRAMES, STEPS)
+    scene = derjax.build(file, values)
+    state = scene.start
+    states, report = derjax.roll_frames(scene, state, N_FRAMES, STEPS)
     q = jnp.concatenate([state.q[None], states.q])
     return head_position(scene.rod.topology, states)[-1], (scene, q, report)
 

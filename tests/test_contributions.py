@@ -134,7 +134,8 @@ def own_term(kind: str, strength: jax.Array) -> Term:
 def scene_of(solver: str, scheme: str, terms: tuple[Term, ...] = ()) -> tuple[Scene, State]:
     """A small robot with more terms."""
     times = FILE["time"] | {"scheme": scheme}
-    scene, state = build(SceneFile.model_validate(FILE | {"time": times}))
+    scene = build(SceneFile.model_validate(FILE | {"time": times}))
+    state = scene.start
     layout = Layout(scene.rod.topology, BLOCK) if solver == "blocks" else None
     return replace(scene, terms=(*scene.terms, *terms), layout=layout), state
 
@@ -225,7 +226,8 @@ def test_what_is_no_contribution_is_refused(solver, answer):
 def stokes_in_blocks(scheme: str = "euler") -> tuple[Scene, State]:
     tables = {"fluid": {"hydrodynamics": "rss"}, "solver": {"method": "blocks"}}
     times = {"step": 0.02, "end": 0.1, "scheme": scheme}
-    return build(SceneFile.model_validate({"robot": ROBOT, **tables, "time": times}))
+    scene = build(SceneFile.model_validate({"robot": ROBOT, **tables, "time": times}))
+    return scene, scene.start
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
@@ -247,7 +249,7 @@ def test_blocks_of_another_layout_are_refused():
     scene, state = stokes_in_blocks()
     with pytest.raises(ValueError, match="must be one Layout"):
         trace(replace(scene, layout=Layout(scene.rod.topology, 3)), state)
-    other, _ = build(SceneFile.model_validate({"robot": {"edge_length": 0.02}}))
+    other = build(SceneFile.model_validate({"robot": {"edge_length": 0.02}}))
     with pytest.raises(ValueError, match="of another robot"):
         trace(replace(scene, terms=(), layout=Layout(other.rod.topology, 4)), state)
 
@@ -281,7 +283,8 @@ def test_mobility_stands_beside_the_contributions():
 def test_forces_of_one_term_are_corrected_try_by_try(count):
     robot = {"kind": "two_flagella", "edge_length": 0.03}
     contact = {"method": "spillmann_teschner"}
-    scene, state = build(SceneFile.model_validate({"robot": robot, "contact": contact}))
+    scene = build(SceneFile.model_validate({"robot": robot, "contact": contact}))
+    state = scene.start
     (found,) = (t for t in scene.terms if isinstance(t, SpillmannTeschner))
     others = tuple(t for t in scene.terms if t is not found)
     with pytest.raises(ValueError, match=f"the scene has {count}"):

@@ -32,14 +32,14 @@ def test_the_default_robot_has_the_regularization_that_it_had():
 def test_the_regularization_follows_the_rod():
     thin = scene(robot=COARSE | {"rod_radius": 0.4e-3})
     assert thin.parameters["regularization"] == pytest.approx(0.4175e-3, rel=1e-15)
-    stokeslets = term(build(scene(), {"rod_radius": 0.4e-3})[0], StokesletSegments)
+    stokeslets = term(build(scene(), {"rod_radius": 0.4e-3}), StokesletSegments)
     assert float(stokeslets.regularization) == pytest.approx(0.4175e-3, rel=1e-15)
 
 
 def test_a_regularization_that_is_given_is_used():
     """Even where it is what the default would be."""
     file = scene(fluid={"regularization": 1.67e-3})
-    stokeslets = term(build(file, {"rod_radius": 0.4e-3})[0], StokesletSegments)
+    stokeslets = term(build(file, {"rod_radius": 0.4e-3}), StokesletSegments)
     assert float(stokeslets.regularization) == 1.67e-3
     both = {"rod_radius": 0.4e-3, "regularization": 1e-3}
     assert scene().parameters_with(both)["regularization"] == 1e-3
@@ -49,7 +49,7 @@ def test_derivatives_go_through_what_follows():
     file = scene(robot={**COARSE, "kind": "two_flagella"}, friction={})
 
     def followers(numbers: dict[str, Any]) -> list[Any]:
-        built = build(file, numbers)[0]
+        built = build(file, numbers)
         contact = term(built, Contact).stiffness
         blob = term(built, StokesletSegments).regularization
         return [blob, contact, term(built, Friction).slip_speed]
@@ -67,7 +67,7 @@ def test_a_stiffness_and_a_slip_speed_that_are_given_are_used():
         contact={"stiffness": 2008.0},
         friction={"slip_speed": 1e-3},
     )
-    built = build(file, {"rod_radius": 1e-3, "rpm": 10.0})[0]
+    built = build(file, {"rod_radius": 1e-3, "rpm": 10.0})
     assert float(term(built, Contact).stiffness) == 2008.0
     assert float(term(built, Friction).slip_speed) == 1e-3
 

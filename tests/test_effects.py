@@ -139,7 +139,8 @@ def made_of(content: dict[str, Any]) -> tuple[Any, list[np.ndarray]]:
     """All that a scene file makes: structure and numbers of the scene, frames and steps."""
     file = checked(SceneFile, content)
     with jax.disable_jit():  # quicker than to compile so many
-        scene, state = build(file)
+        scene = build(file)
+        state = scene.start
     leaves, structure = jax.tree.flatten((replace(scene, parameters={}), state))
     return (structure, file.grid), [np.asarray(leaf) for leaf in leaves]
 

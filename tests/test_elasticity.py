@@ -28,7 +28,6 @@ from scipy.optimize import brentq
 from derjax import Rod, Scene, State, Topology, chain, positions
 from derjax.newton import NewtonSettings
 from derjax.pytree import replace
-from derjax.robots import helix
 from derjax.rod import (
     angles,
     curvature,
@@ -37,6 +36,7 @@ from derjax.rod import (
     tangents,
 )
 from derjax.schemes.euler import euler
+from derjax.shapes import helix
 from derjax.terms import Gravity
 
 SIZES = (12, 24)

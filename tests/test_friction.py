@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers import advance, at_speed, elasticity, held_dofs, rest, rotation, share
 
-from derjax import Scene, State, Topology, positions, rollout
+from derjax import Scene, State, Topology, positions, roll_frames
 from derjax.newton import NewtonSettings
 from derjax.pytree import Indices, replace
 from derjax.rod import tangents
@@ -193,7 +193,7 @@ def with_friction(scene: Scene, coefficient: Any) -> Scene:
 def slide(scene: Scene, state: State, mu: Any) -> tuple[jax.Array, jax.Array, jax.Array, Any]:
     """How far the block slid (m), how fast, and what pressed it (N), after a second."""
     scene = with_friction(scene, mu)
-    states, report = rollout(scene, state, 1, STEPS)
+    states, report = roll_frames(scene, state, 1, STEPS)
     last = jax.tree.map(lambda x: x[-1], states)
     pairs = share(scene.terms[3], scene.rod, last, scene.step_length)
     push = -positions(RAILS, pairs.gradient(last.q))[4:, 2].sum()
@@ -239,7 +239,7 @@ def test_threshold_of_sliding_is_the_coefficient_of_friction():
     assert low == pytest.approx(1, abs=0.02)
 
 
-run = jax.jit(rollout, static_argnums=(2, 3))
+run = jax.jit(roll_frames, static_argnums=(2, 3))
 
 
 @pytest.mark.parametrize("spin", [60.0, -60.0, 20.0])
@@ -287,7 +287,7 @@ def test_derivatives_are_finite_without_sliding_and_without_contact(tangent, abo
 
 def soon(scene: Scene, state: State) -> jax.Array:
     """Where the block is after a few steps, m."""
-    states, _ = rollout(scene, state, 1, 5)
+    states, _ = roll_frames(scene, state, 1, 5)
     return jnp.mean(positions(RAILS, states.q[-1])[4:, 0])
 
 

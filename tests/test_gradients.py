@@ -17,14 +17,15 @@ SCENE = SceneFile.model_validate(
 )
 
 
-def objective(relative: jax.Array) -> tuple[jax.Array, derjax.Report]:
+def objective(relative: jax.Array) -> tuple[jax.Array, derjax.RolloutStats]:
     """A mixture of the head's coordinates (m) and angle after 200 steps.
 
     `relative` are the parameters in units of their values in the scene.
     """
     values = {n: SCENE.parameters[n] * relative[i] for i, n in enumerate(NAMES)}
-    scene, state = derjax.build(SCENE, values)
-    states, report = derjax.rollout(scene, state, N_FRAMES, STEPS)
+    scene = derjax.build(SCENE, values)
+    state = scene.start
+    states, report = derjax.roll_frames(scene, state, N_FRAMES, STEPS)
     angle = derjax.angles(scene.rod.topology, states.q)[-1, 0]
     return states.q[-1, :3] @ jnp.array([1.0, 0.5, 0.25]) + 1e-3 * angle, report
 
@@ -74,7 +75,7 @@ def spring(weights: jax.Array) -> jax.Array:
     )
     settings = NewtonSettings(jnp.array(1e-12), jnp.ones(topology.n_dofs))
     scene = derjax.Scene(rod, terms, None, settings, jnp.array(0.05), euler)
-    states, _ = derjax.rollout(scene, state, 1, 3)
+    states, _ = derjax.roll_frames(scene, state, 1, 3)
     return jnp.sum(states.q[-1] ** 2)
 
 

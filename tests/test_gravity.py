@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers import share
 
-from derjax import Scene, SceneFile, State, build, march, positions
+from derjax import Scene, SceneFile, State, build, march_frames, positions
 from derjax.status import Status
 from derjax.terms import Gravity, HeadDrag, Inertia, ResistiveDrag
 
@@ -57,7 +57,8 @@ def masses(scene: Scene, file: SceneFile) -> tuple[float, float]:
 @pytest.mark.parametrize("head", [{}, {"mass": 0.2}], ids=["ball", "given mass"])
 def test_all_forces_are_the_weight_less_that_of_the_fluid(kind, head):
     file = robot(head, kind, time={"step": 0.01, "end": 0.1})
-    scene, state = build(file)
+    scene = build(file)
+    state = scene.start
     load = share(of_kind(scene, Gravity), scene.rod, state, file.step)
     n = 3 * scene.rod.topology.n_nodes
     mass, displaced = masses(scene, file)
@@ -68,20 +69,21 @@ def test_all_forces_are_the_weight_less_that_of_the_fluid(kind, head):
 
 
 def test_a_robot_as_dense_as_the_fluid_is_neutral_everywhere():
-    scene, _ = build(robot({}, material={"density": FLUID}))
+    scene = build(robot({}, material={"density": FLUID}))
     assert not np.asarray(of_kind(scene, Gravity).buoyant_mass).any()
 
 
 @jax.jit
 def sink(scene: Scene, state: State) -> Any:
-    return march(scene, state, 1, 4)
+    return march_frames(scene, state, 1, 4)
 
 
 @pytest.mark.parametrize("head", [{}, {"mass": 0.2}], ids=["ball", "given mass"])
 def test_a_robot_sinks_as_fast_as_its_drag_allows(head):
     """Stokes' law for the head, resistive force theory for the flagellum, and all the weight."""
     file = robot(head)
-    scene, state = build(file)
+    scene = build(file)
+    state = scene.start
     states, report = sink(scene, state)
     assert int(report.status) == Status.OK
     topology = scene.rod.topology
@@ -98,6 +100,7 @@ def test_a_robot_sinks_as_fast_as_its_drag_allows(head):
 
 
 def test_a_light_head_rises():
-    scene, state = build(robot({"mass": 0.1}))
+    scene = build(robot({"mass": 0.1}))
+    state = scene.start
     states, _ = sink(scene, state)
     assert float(states.q[0, 0] - state.q[0]) > 1e-4

@@ -11,8 +11,8 @@ from helpers import carry, elasticity, perturbed, potential, rest, rotation, sha
 from derjax import State, Topology, angles, chain, positions
 from derjax.potential import gather
 from derjax.pytree import replace
-from derjax.robots import helix, helix_contour, single_flagellum
 from derjax.rod import tangents
+from derjax.shapes import helix, helix_contour, single_flagellum
 from derjax.terms import (
     Gravity,
     HeadDrag,

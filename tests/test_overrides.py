@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from derjax import InputError, Scene, SceneFile, State, build, march
+from derjax import InputError, Scene, SceneFile, State, build, march_frames
 from derjax.batch import build_many, pick
 from derjax.parameters import PLACES
 from derjax.pytree import replace
@@ -74,16 +74,17 @@ def test_an_override_has_the_results_of_a_file_with_that_value(name, parameter):
     file = scene_file(name)
     value = other_value(file, parameter)
     given = with_value(name, parameter, value)
-    overridden, state = build(file, {parameter: value})
-    expected, other = build(given)
+    overridden = build(file, {parameter: value})
+    state = overridden.start
+    expected = build(given)
+    other = expected.start
     # The mesh and the steps of an override are those of the file.
     if state.q.size != other.q.size:
-        expected, other = build(
-            given.model_copy(update={"robot": file.robot}), dict(given.parameters)
-        )
+        expected = build(given.model_copy(update={"robot": file.robot}), dict(given.parameters))
+        other = expected.start
     states = moving(overridden, state)
-    dataset = to_dataset(file, overridden, states)
-    reference = to_dataset(given, expected, states)
+    dataset = to_dataset(overridden, states)
+    reference = to_dataset(expected, states)
     assert "changed_terms" not in dataset.attrs
     xr.testing.assert_identical(dataset, reference)
     assert dataset.attrs.keys() == reference.attrs.keys()
@@ -101,9 +102,10 @@ def test_efficiency_is_that_of_the_head_that_was_dragged():
     file = SceneFile.model_validate(
         {"robot": {"edge_length": 0.03}, "fluid": {"hydrodynamics": "rft"}, "time": times}
     )
-    scene, state = build(file, numbers)
-    states, _ = jax.jit(march, static_argnums=(2, 3))(scene, state, 4, 1)
-    found = summarise(to_dataset(file, scene, states))
+    scene = build(file, numbers)
+    state = scene.start
+    states, _ = jax.jit(march_frames, static_argnums=(2, 3))(scene, state, 4, 1)
+    found = summarise(to_dataset(scene, states))
     ratio = 0.75 * 2.0 / 0.1 / 0.02
     motion = abs(found["v_x_m_per_s"] / found["head_rate_rad_per_s"])
     assert found["efficiency"] == pytest.approx(ratio * motion, rel=1e-12)
@@ -116,46 +118,49 @@ def test_efficiency_is_that_of_the_head_that_was_dragged():
 def test_terms_that_acted_win():
     """A head whose drag is replaced: results are those of the term, and say that it was."""
     file = scene_file("single")
-    scene, state = build(file)
+    scene = build(file)
+    state = scene.start
     doubled = tuple(
         replace(t, translation=2 * t.translation) if isinstance(t, HeadDrag) else t
         for t in scene.terms
     )
     changed = replace(scene, terms=doubled)
     states = moving(scene, state)
-    before, after = (to_dataset(file, s, states) for s in (scene, changed))
+    before, after = (to_dataset(s, states) for s in (scene, changed))
     assert "changed_terms" not in before.attrs
     assert after.attrs["changed_terms"] == "HeadDrag"
     ratio = summarise(after)["propulsive_force_N"] / summarise(before)["propulsive_force_N"]
     assert ratio == pytest.approx(2.0)
     more = replace(scene, terms=(*scene.terms, scene.terms[-1]))
-    assert to_dataset(file, more, states).attrs["changed_terms"] == type(scene.terms[-1]).__name__
+    assert to_dataset(more, states).attrs["changed_terms"] == type(scene.terms[-1]).__name__
     without = replace(scene, terms=[t for t in scene.terms if not isinstance(t, HeadDrag)])
-    dataset = to_dataset(file, without, states)
+    dataset = to_dataset(without, states)
     assert dataset.attrs["changed_terms"] == "HeadDrag"
     assert summarise(dataset)["propulsive_force_N"] is None
 
 
 def test_drags_of_one_head_add_up():
     file = scene_file("single")
-    scene, state = build(file)
+    scene = build(file)
+    state = scene.start
     (drag,) = (t for t in scene.terms if isinstance(t, HeadDrag))
     twice = replace(scene, terms=(*scene.terms, drag))
     states = moving(scene, state)
-    once, both = (summarise(to_dataset(file, s, states)) for s in (scene, twice))
+    once, both = (summarise(to_dataset(s, states)) for s in (scene, twice))
     assert both["propulsive_force_N"] == pytest.approx(2 * once["propulsive_force_N"])
     assert both["efficiency"] == pytest.approx(once["efficiency"])
 
 
 def test_forces_of_all_contacts_add_up():
     file = SceneFile.model_validate({"robot": {"kind": "two_flagella", "edge_length": 0.03}})
-    scene, state = build(file)
+    scene = build(file)
+    state = scene.start
     (contact,) = (t for t in scene.terms if isinstance(t, Contact))
     # Rods as thick as their distance touch.
     thick = replace(contact, radius=jnp.asarray(0.02))
     states = moving(scene, state)
     forces = [
-        to_dataset(file, replace(scene, terms=terms), states).contact_force.to_numpy()
+        to_dataset(replace(scene, terms=terms), states).contact_force.to_numpy()
         for terms in ((thick,), (thick, thick))
     ]
     assert (forces[0] > 0).all()
@@ -164,10 +169,11 @@ def test_forces_of_all_contacts_add_up():
 
 def test_batches_have_a_record_for_every_run():
     file = scene_file("single")
-    scenes, states = build_many(file, {"C_t": [1.0, 2.0]})
+    scenes = build_many(file, {"C_t": [1.0, 2.0]})
+    states = scenes.start
     one = jax.tree.map(np.asarray, pick(scenes, 1))
     run = moving(one, pick(states, 1))
-    assert to_dataset(file, one, run).attrs["C_t"] == 2.0
+    assert to_dataset(one, run, file=file).attrs["C_t"] == 2.0
 
 
 @pytest.mark.parametrize(
@@ -195,7 +201,7 @@ def test_what_is_traced_or_not_to_be_checked_is_not():
         lambda c: build_unchecked(file, {"C_t": c}),
         jax.jit(lambda c: build(file, {"C_t": c})),
     ):
-        scene, _ = make(-1.0)
+        scene = make(-1.0)
         assert float(scene.parameters["C_t"]) == -1.0
 
 
@@ -203,7 +209,7 @@ def test_edges_that_may_touch_are_those_of_the_override():
     file = SceneFile.model_validate(
         {"robot": {"edge_length": 0.012}, "contact": {"method": "smooth"}}
     )
-    thin, _ = build(file, {"rod_radius": 0.5e-3})
+    thin = build(file, {"rod_radius": 0.5e-3})
     (contact,) = (t for t in thin.terms if isinstance(t, Contact))
     narrow = file.with_parameters({"rod_radius": 0.5e-3})
     assert contact.pairs == touching_pairs(narrow)
@@ -219,8 +225,9 @@ def test_rates_of_a_motor_table_are_overridden_together(tmp_path):
     robot = {"kind": "two_flagella", "edge_length": 0.03}
     file = SceneFile.model_validate({"robot": robot}).model_copy(update={"motor_table": table})
     rates = [[30.0, 10.0], [20.0, 10.0]]
-    scene, state = build(file, {"rpm": rates})
-    dataset = to_dataset(file, scene, moving(scene, state))
+    scene = build(file, {"rpm": rates})
+    state = scene.start
+    dataset = to_dataset(scene, moving(scene, state))
     np.testing.assert_array_equal(dataset.attrs["rpm"], rates)
     np.testing.assert_allclose(dataset.motor_rate[0], np.array(rates[0]) * 2 * np.pi / 60)
     write(dataset, tmp_path / "trajectory.nc")

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import pytest
 from helpers import advance
 
-from derjax import Scene, SceneFile, State, build, rollout
+from derjax import Scene, SceneFile, State, build, roll_frames
 from derjax.pytree import replace
 from derjax.terms import (
     Bend,
@@ -67,7 +67,8 @@ TERMS: dict[str, tuple[type, ...]] = {
 
 def example(name: str, **numbers: float) -> tuple[Scene, State]:
     """A small scene, with other numbers for some of its parameters."""
-    return build(SceneFile.model_validate(LEAST | SCENES[name]), numbers)
+    scene = build(SceneFile.model_validate(LEAST | SCENES[name]), numbers)
+    return scene, scene.start
 
 
 def equations(jaxpr: Any) -> Iterator[Any]:
@@ -134,7 +135,8 @@ def test_every_term_makes_the_program_longer(steps, name):
 
 def text(**tables: Any) -> str:
     """The program of one step of a scene, as text."""
-    scene, state = build(SceneFile.model_validate(LEAST | tables))
+    scene = build(SceneFile.model_validate(LEAST | tables))
+    state = scene.start
     return str(jax.make_jaxpr(advance)(scene, state))
 
 
@@ -150,7 +152,7 @@ def test_contact_and_friction_are_absent_to_the_last_instruction():
 
 def test_contact_and_friction_are_terms_of_robots_with_several_flagella():
     several = {"robot": {**LEAST["robot"], "kind": "two_flagella"}, "friction": {}}
-    scene, _ = build(SceneFile.model_validate(LEAST | several))
+    scene = build(SceneFile.model_validate(LEAST | several))
     assert {type(term) for term in scene.terms} == {*ELASTIC, Contact, Friction}
 
 
@@ -207,7 +209,7 @@ def test_newton_stands_once_in_the_program_of_a_step(steps, name):
 
 def total(scene: Scene, state: State) -> jax.Array:
     """A number that depends on every step of a run."""
-    states, _ = rollout(scene, state, 2, 3)
+    states, _ = roll_frames(scene, state, 2, 3)
     return jnp.sum(states.q**2)
 
 

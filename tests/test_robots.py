@@ -20,7 +20,7 @@ from derjax.kinematics import (
     head_spin,
 )
 from derjax.pytree import replace
-from derjax.robots import (
+from derjax.shapes import (
     Body,
     arc,
     around,
@@ -452,7 +452,8 @@ def force_at_rest(scene: Scene, state: State):
 
 @pytest.fixture(scope="module")
 def built():
-    return {name: build(file) for name, file in AT_REST.items()}
+    scenes = {name: build(file) for name, file in AT_REST.items()}
+    return {name: (scene, scene.start) for name, scene in scenes.items()}
 
 
 @pytest.mark.parametrize("name", AT_REST)
@@ -603,7 +604,7 @@ def test_a_table_with_a_column_for_every_motor(tmp_path):
     (tmp_path / "motor.csv").write_text("time, rpm_2, rpm_1\n0, 5, 0\n2, 5, 60\n")
     file = load_scene(tmp_path / "robot.toml")
     np.testing.assert_array_equal(file.parameters["rpm"], [[0.0, 5.0], [60.0, 5.0]])
-    scene, _ = build(file)
+    scene = build(file)
     assert scene.motor is not None
     turned = scene.motor.turned(jnp.asarray(0.0), jnp.asarray(2.0))
     np.testing.assert_allclose(turned, 2 * np.pi / 60 * np.array([60.0, 10.0]), rtol=1e-12)
@@ -612,7 +613,7 @@ def test_a_table_with_a_column_for_every_motor(tmp_path):
 def test_a_table_with_one_column_for_all_motors(tmp_path):
     (tmp_path / "robot.toml").write_text(TABLE + "step = 0.5\n")
     (tmp_path / "motor.csv").write_text("time, rpm\n0, 0\n2, 60\n")
-    scene, _ = build(load_scene(tmp_path / "robot.toml"))
+    scene = build(load_scene(tmp_path / "robot.toml"))
     assert scene.motor is not None
     turned = scene.motor.turned(jnp.asarray(0.5), jnp.asarray(1.5))
     np.testing.assert_allclose(turned, 2 * np.pi / 60 * np.array([30.0, 30.0]), rtol=1e-12)

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 import derjax
+from derjax.frames import new_report
 from derjax.newton import NewtonSettings
 from derjax.pytree import replace
-from derjax.rollout import new_report
 from derjax.scenefile import SceneFile
 from derjax.schemes.euler import euler
 from derjax.terms import Gravity, ResistiveDrag, Stretch
 
-_rollout = jax.jit(derjax.rollout, static_argnums=(2, 3))
+_rollout = jax.jit(derjax.roll_frames, static_argnums=(2, 3))
 
 
 def falling_rod(pull: jax.Array | float = 1.0) -> tuple[derjax.Scene, derjax.State]:
@@ -67,7 +67,7 @@ def test_first_order_in_time():
 def test_memory_of_reverse_mode_grows_like_the_square_root_of_steps():
     def loss(pull, n):
         scene, start = falling_rod(pull)
-        states, _ = derjax.rollout(scene, start, 1, n)
+        states, _ = derjax.roll_frames(scene, start, 1, n)
         return jnp.sum(states.q[-1])
 
     def temporary(n):
@@ -91,7 +91,8 @@ SWIMMER = SceneFile.model_validate(
 
 
 def test_a_failed_step_is_told_and_freezes_the_run():
-    scene, start = derjax.build(SWIMMER)
+    scene = derjax.build(SWIMMER)
+    start = scene.start
     states, report = _rollout(scene, start, 8, 1)
     assert not report.ok
     assert derjax.Status(int(report.status)) is derjax.Status.MAX_ITERATIONS
@@ -106,7 +107,8 @@ def test_a_failed_step_is_told_and_freezes_the_run():
 
 
 def test_non_finite_numbers_are_told():
-    scene, start = derjax.build(SWIMMER)
+    scene = derjax.build(SWIMMER)
+    start = scene.start
     broken = replace(start, q=start.q.at[5].set(jnp.nan))
     states, report = _rollout(scene, broken, 8, 1)
     assert derjax.Status(int(report.status)) is derjax.Status.NON_FINITE
@@ -115,7 +117,8 @@ def test_non_finite_numbers_are_told():
 
 
 def test_a_rollout_does_not_touch_what_has_failed():
-    scene, start = derjax.build(SWIMMER)
+    scene = derjax.build(SWIMMER)
+    start = scene.start
     failed = replace(new_report(), status=jnp.array(2, jnp.int32), failed_at=jnp.array(1.0))
     states, report = _rollout(scene, start, 8, 1, failed)
     np.testing.assert_array_equal(states.q[-1], start.q)

@@ -13,7 +13,7 @@ from derjax.plausibility import USUAL_LENGTHS
 from derjax.summary import summarise
 from derjax.trajectory import to_dataset
 
-rollout = jax.jit(derjax.rollout, static_argnums=(2, 3))
+rollout = jax.jit(derjax.roll_frames, static_argnums=(2, 3))
 
 SWIMMER = {"robot": {"edge_length": 0.03}, "time": {"end": 0.5}}
 SCENES: dict[str, dict[str, Any]] = {
@@ -70,10 +70,11 @@ def scaled(content: dict[str, Any], size: float, slowness: float) -> SceneFile:
 @lru_cache
 def outcome(name: str, size: float, slowness: float) -> Outcome:
     file = scaled(SCENES[name], size, slowness)
-    scene, state = build(file)
-    states, report = rollout(scene, state, file.n_frames, file.steps_per_frame)
+    scene = build(file)
+    state = scene.start
+    states, report = roll_frames(scene, state, file.n_frames, file.steps_per_frame)
     report.raise_if_failed()
-    trajectory = to_dataset(file, scene, jax.tree.map(np.asarray, states))
+    trajectory = to_dataset(scene, jax.tree.map(np.asarray, states))
     summary = summarise(trajectory)
     rate, radius = 2 * np.pi / slowness, file.robot.helix_radius
     return Outcome(
@@ -120,9 +121,10 @@ def test_a_bacterium_swims_as_resistive_force_theory_says():
             "time": {"end": 0.01},
         }
     )
-    scene, state = build(file)
-    states, report = rollout(scene, state, file.n_frames, file.steps_per_frame)
+    scene = build(file)
+    state = scene.start
+    states, report = roll_frames(scene, state, file.n_frames, file.steps_per_frame)
     report.raise_if_failed()
-    summary = summarise(to_dataset(file, scene, jax.tree.map(np.asarray, states)))
+    summary = summarise(to_dataset(scene, jax.tree.map(np.asarray, states)))
     assert abs(summary["v_x_m_per_s"]) == pytest.approx(24.6e-6, rel=0.02)
     assert summary["head_rate_rad_per_s"] / (2 * np.pi) == pytest.approx(-10.2, rel=0.02)

@@ -10,7 +10,7 @@ import pytest
 from helpers import advance, order
 
 from derjax import (
-    Report,
+    RolloutStats,
     Scene,
     SceneFile,
     SolverError,
@@ -20,16 +20,16 @@ from derjax import (
     build,
     chain,
     kinematics,
-    march,
+    march_frames,
     positions,
-    rollout,
+    roll_frames,
 )
 from derjax.control import Control
+from derjax.frames import new_stats
 from derjax.newton import NewtonSettings
 from derjax.potential import Contribution, Diagonal
 from derjax.pytree import pytree, replace
 from derjax.rod import Rod
-from derjax.rollout import new_report
 from derjax.schemes.euler import euler
 from derjax.schemes.trbdf2 import D, trbdf2
 from derjax.terms import Inertia, Stage, Term
@@ -38,8 +38,8 @@ N_DOFS = 11
 ROD, REST = at_rest(chain(3), jnp.array([[0.0, 0, 0], [1.0, 0, 0], [2.0, 0, 0]]))
 SMALL = 1e-3
 
-many_steps = jax.jit(rollout, static_argnums=(2, 3))
-marched = jax.jit(march, static_argnums=(2, 3))
+many_steps = jax.jit(roll_frames, static_argnums=(2, 3))
+marched = jax.jit(march_frames, static_argnums=(2, 3))
 one_step = jax.jit(advance)
 
 
@@ -70,9 +70,9 @@ def springs(scheme, terms: tuple[Term, ...], h: float = 1.0) -> Scene:
 
 
 @jax.jit
-def ten_steps(scene: Scene, state: State, report: Report) -> tuple[State, Report]:
+def ten_steps(scene: Scene, state: State, report: RolloutStats) -> tuple[State, RolloutStats]:
     """Ten more steps of a run."""
-    states, report = rollout(scene, state, 1, 10, report)
+    states, report = roll_frames(scene, state, 1, 10, report)
     return jax.tree.map(lambda leaf: leaf[-1], states), report
 
 
@@ -152,8 +152,9 @@ def developed() -> tuple[Scene, State]:
             "solver": {"tolerance": 1e-12},
         }
     )
-    scene, state = build(file)
-    report = new_report()
+    scene = build(file)
+    state = scene.start
+    report = new_stats()
     for _ in range(20):
         state, report = ten_steps(scene, state, report)
     report.raise_if_failed()
@@ -174,7 +175,7 @@ def test_order_of_the_positions_of_nodes(developed, scheme, steps, expected, tol
         shorter = replace(scene, scheme=scheme, step_length=jnp.array(duration / n))
         state, report = start, None
         for _ in range(n // 10):  # one program for every n
-            state, report = ten_steps(shorter, state, report or new_report())
+            state, report = ten_steps(shorter, state, report or new_stats())
         report.raise_if_failed()
         return np.asarray(positions(scene.rod.topology, state.q))
 
@@ -185,7 +186,7 @@ def test_order_of_the_positions_of_nodes(developed, scheme, steps, expected, tol
 
 
 def test_a_matrix_serves_several_iterations(developed):
-    _, report = ten_steps(*developed, new_report())
+    _, report = ten_steps(*developed, new_stats())
     assert int(report.factorings) < 0.6 * int(report.iterations)
 
 
@@ -209,10 +210,10 @@ def relaxing(
     return replace(scene, control=control), displaced(still, still, 0.0)
 
 
-def run(scene: Scene, state: State) -> tuple[np.ndarray, Report, np.ndarray]:
+def run(scene: Scene, state: State) -> tuple[np.ndarray, RolloutStats, np.ndarray]:
     """Displacements and times at frames of 0.5 s, and the report."""
     steps = round(0.5 / float(scene.step_length))
-    states, report = many_steps(scene, state, 4, steps, new_report())
+    states, report = many_steps(scene, state, 4, steps, new_stats())
     return np.asarray(states.q - REST.q) / SMALL, report, np.asarray(states.time)
 
 
@@ -235,7 +236,7 @@ def test_errors_follow_the_tolerance(name):
 def test_steps_grow_where_little_happens():
     """The last of four frames takes fewer steps than the first, and then only one."""
     scene, state = relaxing(1e-4)
-    counts, report = [], new_report()
+    counts, report = [], new_stats()
     for _ in range(8):
         states, report = many_steps(scene, state, 4, 50, report)
         state = jax.tree.map(lambda leaf: leaf[-1], states)
@@ -254,8 +255,8 @@ def test_a_first_step_that_is_too_long_is_given_up():
 def test_a_run_continues_another_bit_by_bit():
     """The length that the next step would have had goes along in the report."""
     scene, start = relaxing(1e-4)
-    whole, report = many_steps(scene, start, 4, 10, new_report())
-    state, full = start, new_report()
+    whole, report = many_steps(scene, start, 4, 10, new_stats())
+    state, full = start, new_stats()
     for _ in range(4):
         state, full = ten_steps(scene, state, full)
     np.testing.assert_array_equal(state.q, whole.q[-1])
@@ -285,7 +286,7 @@ def last(stiffness: jax.Array, tolerance: jax.Array, n_frames: int) -> jax.Array
     """The end of a run, for derivatives with respect to the stiffness of all springs."""
     scene, state = relaxing(tolerance)
     scene = replace(scene, terms=(Springs(stiffness * RATES), *scene.terms[1:]))
-    states, _ = rollout(scene, state, n_frames, 50)
+    states, _ = roll_frames(scene, state, n_frames, 50)
     return (states.q[-1] - REST.q) / SMALL
 
 
@@ -312,7 +313,8 @@ def test_derivatives_hold_the_sequence_of_steps():
 def test_default_steps_are_accurate_on_coarse_and_fine_meshes(edge):
     """The finer the mesh, the more violent the moment in which the flagellum goes limp."""
     file = SceneFile.model_validate({"robot": {"edge_length": edge}, "time": {"end": 3.0}})
-    scene, state = build(file)
+    scene = build(file)
+    state = scene.start
 
     def head_angle(scene: Scene) -> float:
         states, report = marched(scene, state, 3, 20)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from helpers import acting, potential, rotation
 
-from derjax import Report, Scene, SceneFile, State, angles, build, positions, rollout
+from derjax import RolloutStats, Scene, SceneFile, State, angles, build, positions, roll_frames
 from derjax.geometry import parallel_transport, signed_angle
 from derjax.kinematics import (
     head_angular_velocity,
@@ -33,7 +33,7 @@ RPM = 60.0
 RATE = RPM * 2 * np.pi / 60
 STEP = 1e-2
 N_STEPS = 200
-MOTION = jax.jit(partial(rollout, n_frames=N_STEPS, steps_per_frame=1))
+MOTION = jax.jit(partial(roll_frames, n_frames=N_STEPS, steps_per_frame=1))
 """Two seconds, every step."""
 
 
@@ -44,7 +44,7 @@ class Run(NamedTuple):
     scene: Scene
     start: State
     states: State
-    report: Report
+    report: RolloutStats
 
 
 def scene_file(kind: str, rpm, robot: dict | None = None, **tables) -> SceneFile:
@@ -64,7 +64,8 @@ def scene_file(kind: str, rpm, robot: dict | None = None, **tables) -> SceneFile
 
 
 def follow(file: SceneFile, start: State | None = None) -> Run:
-    scene, state = build(file)
+    scene = build(file)
+    state = scene.start
     start = state if start is None else start
     states, report = MOTION(scene, start)
     report.raise_if_failed()
@@ -317,7 +318,8 @@ def test_drag_of_a_head_is_that_of_its_velocities(name):
             "time": {"inertia": False},
         }
     )
-    scene, state = build(file)
+    scene = build(file)
+    state = scene.start
     topology = scene.rod.topology
     turn = np.asarray(rotation([1.0, 2.0, 3.0], 1.1))  # no direction is special
     x = positions(topology, state.q) @ turn.T

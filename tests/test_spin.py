@@ -17,7 +17,7 @@ from derjax.scenefile import InputError, load_scene
 from derjax.step import Scene
 from derjax.terms import SpinDrag
 
-rollout = jax.jit(derjax.rollout, static_argnums=(2, 3))
+rollout = jax.jit(derjax.roll_frames, static_argnums=(2, 3))
 
 LENGTH, RADIUS, MODULUS = 0.1, 1e-2, 1e4
 """Of a thick rod, which whirls after few turns: m, m, Pa."""
@@ -53,8 +53,9 @@ def rod_on_a_motor(rate: float, n_edges: int, turns: float, **tables: Any) -> Sc
 
 def run(file: SceneFile) -> tuple[Scene, State]:
     """The scene, and the states at its frames."""
-    scene, state = build(file)
-    states, report = rollout(scene, state, file.n_frames, file.steps_per_frame)
+    scene = build(file)
+    state = scene.start
+    states, report = roll_frames(scene, state, file.n_frames, file.steps_per_frame)
     report.raise_if_failed()
     return scene, states
 
@@ -106,7 +107,8 @@ def with_resistance(scene: Scene, resistance: Any) -> Scene:
 def test_derivatives_of_a_step():
     """Forward and reverse mode against differences, of a bent rod that spins and moves."""
     file = rod_on_a_motor(WHIRLING, 3, 1, time={"step": 1e-2, "end": 1e-2, "inertia": False})
-    scene, state = build(file)
+    scene = build(file)
+    state = scene.start
     aside = 3 * np.array([2, 3, 4]) + 1
     bent = state.q.at[aside].add(jnp.array([0.01, 0.03, 0.06]))
     state = carry_frames(scene.rod, state, bent)
@@ -136,10 +138,11 @@ def test_spin_drag_slows_the_flagellum_in_every_scheme_and_solver(tables):
     """Turned by the same motor against a head that may turn as well, it turns less."""
     fluid = {"hydrodynamics": "rft", "spin_drag": True}
     file = SceneFile.model_validate({"robot": {"edge_length": 0.03}, "fluid": fluid} | tables)
-    scene, state = build(file)
+    scene = build(file)
+    state = scene.start
     turned = []
     for resistance in (0.0, 4 * np.pi * file.robot.rod_radius**2):
-        states, report = rollout(
+        states, report = roll_frames(
             with_resistance(scene, jnp.asarray(resistance)), state, 1, file.n_steps
         )
         report.raise_if_failed()
@@ -152,7 +155,8 @@ def test_spin_drag_slows_the_flagellum_in_every_scheme_and_solver(tables):
 def test_the_torque_of_a_rod_that_turns_as_a_whole_is_that_of_its_cylinder():
     """Also of one that turns about another axis: only the spin about its own meets drag."""
     file = rod_on_a_motor(1.0, 4, turns=1.0)
-    scene, state = build(file)
+    scene = build(file)
+    state = scene.start
     (drag,) = (t for t in scene.terms if isinstance(t, SpinDrag))
     topology = scene.rod.topology
     x = np.asarray(positions(topology, state.q))

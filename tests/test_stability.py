@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from derjax import Report, Scene, SceneFile, State, Status, build
+from derjax import RolloutStats, Scene, SceneFile, State, Status, build
+from derjax.frames import march_frames
 from derjax.pytree import replace
-from derjax.rollout import march
 from derjax.scene import build_unchecked
 from derjax.scenefile import MotorTable
 
@@ -23,13 +23,13 @@ DRIVEN = TINY.model_copy(
 
 
 @jax.jit
-def half_a_second(scene: Scene, state: State) -> tuple[State, Report]:
+def half_a_second(scene: Scene, state: State) -> tuple[State, RolloutStats]:
     """Five frames of two steps of the first length."""
-    states, report = march(scene, state, 5, 2)
+    states, report = march_frames(scene, state, 5, 2)
     return jax.tree.map(lambda leaf: leaf[-1], states), report
 
 
-def check(state: State, report: Report) -> None:
+def check(state: State, report: RolloutStats) -> None:
     """The run was completed, or stopped where all was well, with a message."""
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(state))
     if report.ok:
@@ -60,23 +60,27 @@ def check(state: State, report: Report) -> None:
     ids=lambda numbers: ", ".join(f"{k} {v:g}" for k, v in numbers.items()),
 )
 def test_an_extreme_robot(numbers: dict[str, float]):
-    check(*half_a_second(*build_unchecked(TINY, numbers)))
+    scene = build_unchecked(TINY, numbers)
+    check(*half_a_second(scene, scene.start))
 
 
 @pytest.mark.parametrize(
     "rpm", [(60, 60, -60, -60), (2000, 2000, -2000, -2000), (600, 600, 0, 0), (0, 0, 0, 0)], ids=str
 )
 def test_a_motor_that_jumps(rpm: Any):
-    check(*half_a_second(*build(DRIVEN, {"rpm": np.array(rpm, float)})))
+    scene = build(DRIVEN, {"rpm": np.array(rpm, float)})
+    check(*half_a_second(scene, scene.start))
 
 
 def test_what_is_not_finite_is_told():
     for number in ("viscosity", "youngs_modulus", "rpm"):
-        scene, start = build_unchecked(TINY, {number: jnp.nan})
+        scene = build_unchecked(TINY, {number: jnp.nan})
+        start = scene.start
         state, report = half_a_second(scene, start)
         assert Status(int(report.status)) is Status.NON_FINITE, number
         assert "not finite" in report.message()
         np.testing.assert_array_equal(state.q, start.q)
-    scene, start = build(TINY)
+    scene = build(TINY)
+    start = scene.start
     broken = replace(start, q=start.q.at[5].set(jnp.inf))
     assert Status(int(half_a_second(scene, broken)[1].status)) is Status.NON_FINITE

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from helpers import elasticity, order, rest
 
-from derjax import Scene, SceneFile, State, build, chain, positions, rollout
+from derjax import Scene, SceneFile, State, build, chain, positions, roll_frames
 from derjax.newton import NewtonSettings
 from derjax.potential import Diagonal, Load
 from derjax.pytree import pytree, replace
@@ -18,7 +18,7 @@ from derjax.schemes.euler import euler
 from derjax.schemes.trbdf2 import trbdf2
 from derjax.terms import ResistiveDrag, SpinDrag, Stage, Term
 
-run = jax.jit(rollout, static_argnums=(2, 3))
+run = jax.jit(roll_frames, static_argnums=(2, 3))
 
 
 @pytree
@@ -81,7 +81,8 @@ def test_a_uniform_flow_carries_the_robot_along(name):
     """All drag is relative to the fluid: the robot swims as in fluid at rest, and drifts."""
     tables = {"robot": ROBOT, "time": TIMES | {"inertia": False}} | SCENES[name]
     tables["time"] = {"inertia": False} | tables["time"]
-    scene, state = build(SceneFile.model_validate(tables))
+    scene = build(SceneFile.model_validate(tables))
+    state = scene.start
     drift = jnp.array([0.01, -0.02, 0.005])
     flow = LinearFlow(drift, jnp.zeros((3, 3)))
     if name == "explicit":  # has inertia: start with the fluid
@@ -114,7 +115,7 @@ def stiff_rod() -> tuple[Scene, State]:
 @partial(jax.jit, static_argnums=2)
 def slant(scene: Scene, state: State, steps: int) -> jax.Array:
     """x over y from the middle to the end of the rod."""
-    states, _ = rollout(scene, state, 1, steps)
+    states, _ = roll_frames(scene, state, 1, steps)
     x = positions(scene.rod.topology, states.q[-1])
     along = x[-1] - x[len(x) // 2]
     return along[0] / along[1]

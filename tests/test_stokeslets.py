@@ -15,7 +15,7 @@ from benchmarks.rigid import (
     rigid_resistance,
     stokeslet_resistance,
 )
-from derjax.robots import helix
+from derjax.shapes import helix
 from derjax.terms.stokeslets import flow, mobility, moments, pull, segment_kernels
 
 # A segment of length L from START to END, in a general direction.

@@ -14,7 +14,7 @@ import jax
 import pytest
 import xarray as xr
 
-from derjax import batch, march
+from derjax import batch, march_frames
 from derjax.cli import main
 from derjax.scenefile import UNITS, InputError, SceneFile
 from derjax.sweeps import farm, points
@@ -155,13 +155,13 @@ def test_chunks_of_one_program_are_compiled_once(directory, monkeypatch):
 
     def traced_march(*arguments: Any) -> Any:
         traced.append(arguments)
-        return march(*arguments)
+        return march_frames(*arguments)
 
     def counted_compute(chunk: Chunk, on_progress: Any) -> list[points.Outcome]:
         chunks.append((len(chunk.files), chunk.places))
         return compute(chunk, on_progress)
 
-    monkeypatch.setattr(batch, "march", traced_march)
+    monkeypatch.setattr(batch, "march_frames", traced_march)
     monkeypatch.setattr(points, "compute", counted_compute)
     (directory / "scene.toml").write_text(SCENE.replace("0.4", "0.3"))  # a program of its own
     argv = ["sweep", str(directory / "sweep.toml"), "-o", str(directory / "out")]

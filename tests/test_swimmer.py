@@ -10,7 +10,7 @@ from helpers import acting, advance, potential
 
 from benchmarks.rigid import rigid_motions
 from benchmarks.rigid_limit import free_motion
-from derjax import Scene, SceneFile, State, build, positions, rollout
+from derjax import Scene, SceneFile, State, build, positions, roll_frames
 from derjax.pytree import replace
 from derjax.rod import angles
 from derjax.terms import Bend, HeadDrag, StokesletSegments, Twist
@@ -31,7 +31,7 @@ class Moment(NamedTuple):
 
 @jax.jit
 def run_and_step(scene, state):
-    states, report = rollout(scene, state, 1, 40)
+    states, report = roll_frames(scene, state, 1, 40)
     before = jax.tree.map(lambda leaf: leaf[-1], states)
     after, info = advance(scene, before)
     return before, after, report, info
@@ -48,7 +48,8 @@ def swim(modulus: float, step: float) -> Moment:
             "solver": {"tolerance": 1e-12},
         }
     )
-    scene, state = build(file)
+    scene = build(file)
+    state = scene.start
     before, after, report, info = run_and_step(scene, state)
     report.raise_if_failed()
     assert info.status == 0

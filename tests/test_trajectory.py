@@ -22,13 +22,13 @@ SPEED, SPIN = -1e-3, -0.3
 
 @pytest.fixture(scope="module")
 def scene():
-    return build(FILE)[0]
+    return build(FILE)
 
 
 @pytest.fixture(scope="module")
 def states(scene) -> State:
     """A made-up motion: the robot glides along x and spins about it, whole turns taken out."""
-    start = build(FILE)[1]
+    start = build(FILE).start
     topology = scene.rod.topology
 
     def at(time):
@@ -54,7 +54,7 @@ def states(scene) -> State:
 
 @pytest.fixture(scope="module")
 def dataset(scene, states) -> xr.Dataset:
-    return trajectory.to_dataset(FILE, scene, states, {"status": "ok"})
+    return trajectory.to_dataset(scene, states, {"status": "ok"})
 
 
 def test_every_variable_says_what_it_is(dataset):
@@ -92,7 +92,7 @@ def test_times_are_what_one_would_type(end):
 
 
 def test_a_time_can_be_selected(scene, states):
-    late = trajectory.to_dataset(FILE, scene, replace(states, time=states.time + 2e-12))
+    late = trajectory.to_dataset(scene, replace(states, time=states.time + 2e-12))
     assert late.sel(time=30.0).head_angle == late.head_angle[60]
 
 
@@ -113,7 +113,7 @@ def test_angular_velocity_is_that_of_the_rigid_motion(scene, states):
     moving = jnp.concatenate(
         [velocity.reshape(len(nodes), -1), jnp.tile(spin[:, None], topology.n_edges)], axis=1
     )
-    dataset = trajectory.to_dataset(FILE, scene, replace(states, velocity=moving))
+    dataset = trajectory.to_dataset(scene, replace(states, velocity=moving))
     np.testing.assert_allclose(
         dataset.head_angular_velocity, np.tile(omega, (len(nodes), 1)), atol=1e-12
     )
@@ -135,7 +135,7 @@ def test_summary_of_a_steady_motion(dataset):
     assert numbers["v_x_m_per_s"] == pytest.approx(SPEED, rel=1e-10)
     assert numbers["head_rate_rad_per_s"] == pytest.approx(SPIN, rel=1e-10)
     assert numbers["head_rate_lab_x_rad_per_s"] == pytest.approx(SPIN, rel=1e-10)
-    nodes = build(FILE)[1].q[: 3 * dataset.sizes["node"]].reshape(-1, 3)
+    nodes = build(FILE).start.q[: 3 * dataset.sizes["node"]].reshape(-1, 3)
     assert numbers["tail_to_head_m"] == pytest.approx(float(jnp.linalg.norm(nodes[-1] - nodes[0])))
     size, (c_t, c_r) = FILE.robot.head_radius, (FILE.head.C_t, FILE.head.C_r)
     assert numbers["propulsive_force_N"] == pytest.approx(6 * math.pi * size * c_t * SPEED)

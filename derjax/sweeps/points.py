@@ -14,10 +14,10 @@ import xarray as xr
 from .. import summary as summaries
 from .. import trajectory
 from ..batch import advance, build_many, everyone, pick, repeat, spread
+from ..frames import RolloutStats, new_stats
 from ..parameters import PLACES
 from ..pytree import Indices, replace
 from ..rod import State
-from ..rollout import Report, new_report
 from ..scene import build, enlarge
 from ..scenefile import Contact, Fluid, Head, InputError, Material, Motor, SceneFile, Time
 from ..shape import touching_pairs
@@ -98,7 +98,7 @@ def programs(files: Mapping[int, SceneFile]) -> tuple[list[list[int]], list[Outc
 
 def _program(file: SceneFile) -> Hashable:
     """What compiled programs depend on."""
-    shapes = jax.eval_shape(lambda: build(file))
+    shapes = jax.eval_shape(lambda: replace(build(file), source=None))
     leaves, structure = jax.tree.flatten(shapes)
     kinds = tuple((leaf.shape, str(leaf.dtype)) for leaf in leaves)
     return structure, kinds, file.n_frames, file.steps_per_frame
@@ -141,7 +141,7 @@ def _size(file: SceneFile) -> tuple[int, Indices | None]:
 
 @lru_cache(maxsize=10_000)
 def _size_of_robot(file: Any, touching: bool) -> tuple[int, Indices | None]:
-    _, state = jax.eval_shape(lambda: build(file))
+    state = jax.eval_shape(lambda: build(file)).start
     return state.q.size, touching_pairs(file) if touching else None
 
 
@@ -214,12 +214,13 @@ def _build_all(files: Sequence[SceneFile], places: int) -> tuple[Scene, State]:
         built = jax.tree.map(np.asarray, build_many(files[alike[0]], columns))
         parts.append(pick(built, slice(len(alike))))
     order = np.argsort(np.concatenate(list(forms.values())))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *parts)
+    scenes: Scene = jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *parts)
+    return scenes, scenes.start
 
 
 def _compile(scenes: Scene, states: State, file: SceneFile, places: int) -> None:
     """Has the program of `_run` compiled, by running it with points that take no steps."""
-    over = replace(new_report(), status=jnp.array(Status.NON_FINITE, jnp.int32))
+    over = replace(new_stats(), status=jnp.array(Status.NON_FINITE, jnp.int32))
     batch = spread(scenes, states, repeat(over, len(states.time)), places=places)
     jax.block_until_ready(advance(batch, *_piece(file))[1])
 
@@ -237,7 +238,7 @@ def _run(
     file: SceneFile,
     places: int,
     on_progress: Callable[[float], None],
-) -> tuple[State, Report]:
+) -> tuple[State, RolloutStats]:
     """All frames of all points, and how they went.
 
     Points whose contacts do not fit into their lists are computed again with longer ones.
@@ -275,7 +276,7 @@ def _outcome(
     file: SceneFile,
     scene: Scene,
     states: State,
-    report: Report,
+    report: RolloutStats,
     wall_time: float,
     keep: bool,
 ) -> Outcome:
@@ -287,7 +288,10 @@ def _outcome(
     numbers: dict[str, Any] = {}
     if report.ok or keep:
         dataset = trajectory.to_dataset(
-            file, scene, pick(states, moved), {"title": "A point of a sweep, by derjax", **status}
+            scene,
+            pick(states, moved),
+            {"title": "A point of a sweep, by derjax", **status},
+            file,
         )
     if report.ok and dataset is not None:
         numbers = summaries.summarise(dataset)

@@ -2,6 +2,7 @@
 
 from .bend import Bend as Bend
 from .contact import Contact as Contact
+from .energy import Energy as Energy
 from .friction import Friction as Friction
 from .gravity import Gravity as Gravity
 from .head import HeadDrag as HeadDrag
@@ -13,6 +14,7 @@ from .spin import SpinDrag as SpinDrag
 from .stokeslets import StokesletSegments as StokesletSegments
 from .stretch import Stretch as Stretch
 from .term import Prediction as Prediction
+from .term import Role as Role
 from .term import Stage as Stage
 from .term import Term as Term
 from .twist import Twist as Twist

@@ -18,6 +18,7 @@ to its square, but with the few operations that a pair of points takes.
 """
 
 from functools import partial
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +31,7 @@ from ..potential import Mobility
 from ..pytree import Indices, pytree, replace, static
 from ..rod import Rod, State, positions
 from .stokeslets import segment_kernels
-from .term import Prediction, Stage, Term
+from .term import Prediction, Role, Stage, Term
 
 NEAR = 6
 """Pairs of blocks that are treated segment by segment, per block."""
@@ -77,6 +78,8 @@ class BlockStokeslets(Term):
         layout: the blocks.
         end_nodes: "half" or "full"; see `stokeslets.mobility`.
     """
+
+    role: ClassVar[Role] = Role.DRAG
 
     viscosity: Float[Array, ""]
     regularization: Float[Array, ""]

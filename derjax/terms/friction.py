@@ -12,6 +12,7 @@ rotation w of its edge. Two rods that turn as one rigid body therefore do not sl
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +25,7 @@ from ..potential import Pairs
 from ..pytree import pytree
 from ..rod import Rod, State
 from .contact import Contact, Touch, force, meeting, weights
-from .term import Prediction, Stage, Term
+from .term import Prediction, Role, Stage, Term
 
 
 def slip(
@@ -117,6 +118,8 @@ class Friction(Term):
         coefficient: mu_f, dimensionless.
         slip_speed: v_s, m/s: below it friction is like drag, and rods that stick creep.
     """
+
+    role: ClassVar[Role] = Role.FRICTION
 
     coefficient: Float[Array, ""]
     slip_speed: Float[Array, ""]

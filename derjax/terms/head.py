@@ -1,5 +1,7 @@
 """Drag on the head of the robot."""
 
+from typing import ClassVar
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -8,7 +10,7 @@ from ..geometry import holonomy, norm, unit
 from ..potential import Elements, Form
 from ..pytree import Indices, pytree
 from ..rod import Head, Rod, State, positions
-from .term import Prediction, Stage, Term
+from .term import Prediction, Role, Stage, Term
 
 
 @pytree
@@ -26,6 +28,8 @@ class HeadDrag(Term):
             one flagellum has none; a head that is a sphere has the same as for spin.
         radius: r_h, m; the drag has it in it already.
     """
+
+    role: ClassVar[Role] = Role.DRAG
 
     translation: Float[Array, ""]
     spin: Float[Array, ""]

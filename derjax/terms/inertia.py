@@ -1,11 +1,13 @@
 """Inertia, for scenes that are not quite at zero Reynolds number."""
 
+from typing import ClassVar
+
 from jaxtyping import Array, Float
 
 from ..potential import Diagonal
 from ..pytree import pytree
 from ..rod import Rod, State
-from .term import Stage, Term
+from .term import Role, Stage, Term
 
 
 @pytree
@@ -15,6 +17,8 @@ class Inertia(Term):
     Attributes:
         mass: (d,) kg for positions, kg m^2 for angles.
     """
+
+    role: ClassVar[Role] = Role.INERTIA
 
     mass: Float[Array, " d"]
 

@@ -1,11 +1,11 @@
 """Drag evaluated explicitly, as the paper's scheme does."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 from ..potential import Load, Mobility
 from ..pytree import pytree
 from ..rod import Rod, State
-from .term import Prediction, Stage, Term, standing
+from .term import Prediction, Role, Stage, Term, standing
 
 
 @pytree
@@ -15,6 +15,8 @@ class Lagged(Term):
     The force -dPhi/dv at the old velocity is the gradient of the implicit contribution at
     q0 + h v0. Simple, needs inertia, and stable only for small steps.
     """
+
+    role: ClassVar[Role] = Role.DRAG
 
     drag: Term
 

@@ -1,5 +1,7 @@
 """Resistive force theory: local, anisotropic drag."""
 
+from typing import ClassVar
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -8,7 +10,7 @@ from ..geometry import dot, unit
 from ..potential import Elements, Form
 from ..pytree import Indices, pytree
 from ..rod import Rod, State, positions
-from .term import Prediction, Stage, Term
+from .term import Prediction, Role, Stage, Term
 
 
 def gray_hancock(
@@ -43,6 +45,8 @@ class ResistiveDrag(Term):
         parallel: drag per length along the rod, Pa s.
         normal: drag per length across the rod, Pa s.
     """
+
+    role: ClassVar[Role] = Role.DRAG
 
     parallel: Float[Array, ""]
     normal: Float[Array, ""]

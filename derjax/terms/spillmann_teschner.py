@@ -11,6 +11,8 @@ Yadunandan & Jawed 2023, supplement). Forces are constant during a try, so that 
 explicit; where drag dominates inertia many tries are needed.
 """
 
+from typing import ClassVar
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -19,7 +21,7 @@ from ..potential import Dofs, Load
 from ..pytree import Indices, pytree, static
 from ..rod import Rod, State, positions
 from ..segments import between, closest
-from .term import Stage, Term
+from .term import Role, Stage, Term
 
 
 @pytree
@@ -33,6 +35,8 @@ class SpillmannTeschner(Term):
         pairs: (p, 2) the edges that may touch.
         tries: how often a step is taken again at most.
     """
+
+    role: ClassVar[Role] = Role.CORRECTION
 
     radius: Float[Array, ""]
     mass: Float[Array, " n"]

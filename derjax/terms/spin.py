@@ -1,6 +1,7 @@
 """Drag on the spin of rods about their own axes."""
 
 from itertools import pairwise
+from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +11,7 @@ from ..geometry import holonomy, norm, unit
 from ..potential import Elements, Form
 from ..pytree import Indices, pytree
 from ..rod import Rod, State, Topology, positions
-from .term import Prediction, Stage, Term
+from .term import Prediction, Role, Stage, Term
 
 
 @pytree
@@ -24,6 +25,8 @@ class SpinDrag(Term):
     Attributes:
         resistance: zeta, drag per length on the spin, N s.
     """
+
+    role: ClassVar[Role] = Role.DRAG
 
     resistance: Float[Array, ""]
 

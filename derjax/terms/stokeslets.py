@@ -12,7 +12,7 @@ R(a)^2 = |x0 + a v|^2 + eps^2 and the moments T_mq = int_0^1 a^m R^-q da,
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +24,7 @@ from jaxtyping import Array, Float
 from ..potential import Quadratic
 from ..pytree import Indices, push, pytree, replace, static
 from ..rod import Rod, State, positions
-from .term import Prediction, Stage, Term
+from .term import Prediction, Role, Stage, Term
 
 
 class Moments(NamedTuple):
@@ -244,6 +244,8 @@ class StokesletSegments(Term):
         solved: node paths that take part in the solve.
         dragged: nodes among them on which the force acts; forces on the others are dropped.
     """
+
+    role: ClassVar[Role] = Role.DRAG
 
     viscosity: Float[Array, ""]
     regularization: Float[Array, ""]

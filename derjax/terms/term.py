@@ -1,8 +1,9 @@
 """What every physical ingredient of a scene is."""
 
+import enum
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -96,12 +97,27 @@ def standing(state: State, terms: Sequence["Term"] = ()) -> Prediction:
     return Prediction(state.q, jnp.zeros_like(state.q), tuple(terms))
 
 
+class Role(enum.Enum):
+    """What the contribution of a term is: this is for results, and no solver asks for it."""
+
+    ENERGY = enum.auto()
+    DRAG = enum.auto()
+    FRICTION = enum.auto()
+    INERTIA = enum.auto()
+    CORRECTION = enum.auto()
+
+
 class Term:
     """A physical ingredient: a pytree whose leaves are its parameters.
 
     A new one derives from this class and has `contribution`; the other methods are for those that
     need them.
+
+    Attributes:
+        role: whether it stores energy, resists motion, or what else it does.
     """
+
+    role: ClassVar[Role] = Role.ENERGY
 
     def prepare(self, rod: Rod, state: State, prediction: Prediction) -> Any:
         """What is found out once, before the step that starts at `state` is solved for.

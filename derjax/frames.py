@@ -23,7 +23,7 @@ FULL = 0.1
 
 
 @pytree
-class Report:
+class RolloutStats:
     """How the steps of a rollout went.
 
     Attributes:
@@ -61,11 +61,11 @@ class Report:
             raise SolverError(self.message())
 
 
-def new_report() -> Report:
+def new_stats() -> RolloutStats:
     """The report of a run that has not begun."""
     count = jnp.zeros((), jnp.int32)
     nothing = jnp.zeros(())
-    return Report(count, jnp.array(jnp.nan), count, count, count, nothing, count, nothing)
+    return RolloutStats(count, jnp.array(jnp.nan), count, count, count, nothing, count, nothing)
 
 
 @pytree
@@ -79,7 +79,7 @@ class _Run:
     """
 
     state: State
-    report: Report
+    report: RolloutStats
     left: Array
 
 
@@ -141,13 +141,13 @@ def _taken(run: _Run, step: Step, good: Array, status: Array) -> _Run:
     )
 
 
-def rollout(
+def roll_frames(
     scene: Scene,
     state: State,
     n_frames: int,
     steps_per_frame: int,
-    report: Report | None = None,
-) -> tuple[State, Report]:
+    report: RolloutStats | None = None,
+) -> tuple[State, RolloutStats]:
     """The states at the ends of frames, and how the steps went.
 
     Differentiable in forward and reverse mode. In reverse mode only the states at the ends
@@ -164,7 +164,7 @@ def rollout(
 
     Returns:
         The state at the end of every frame (a `State` whose leaves have a leading axis f) and
-        a `Report`. After a failed step the state no longer changes.
+        a `RolloutStats`. After a failed step the state no longer changes.
     """
     adapts = scene.control is not None
     if adapts:
@@ -193,16 +193,16 @@ def rollout(
     return _frames(scene, state, n_frames, steps_per_frame, report, within)
 
 
-def march(
+def march_frames(
     scene: Scene,
     state: State,
     n_frames: int,
     steps_per_frame: int,
-    report: Report | None = None,
-) -> tuple[State, Report]:
-    """`rollout` for runs that need no reverse mode: a frame ends as soon as its steps are taken.
+    report: RolloutStats | None = None,
+) -> tuple[State, RolloutStats]:
+    """`roll_frames` without reverse mode: a frame ends as soon as its steps are taken.
 
-    Under `jax.vmap` a batch of runs ends a frame with the last of them. `rollout` would then
+    Under `jax.vmap` a batch of runs ends a frame with the last of them. `roll_frames` would then
     take, for every run, as many tries as there may ever be.
     """
 
@@ -237,9 +237,9 @@ def _frames(
     state: State,
     n_frames: int,
     steps_per_frame: int,
-    report: Report | None,
+    report: RolloutStats | None,
     within: Callable[[_Run], _Run],
-) -> tuple[State, Report]:
+) -> tuple[State, RolloutStats]:
     """The states at the ends of frames; `within` takes the steps of one."""
     if scene.control is None:
         whole = jnp.array(steps_per_frame, jnp.int32)
@@ -259,6 +259,6 @@ def _frames(
         )
         return (run.state, report), run.state
 
-    start = (state, new_report() if report is None else report)
+    start = (state, new_stats() if report is None else report)
     (_, report), states = lax.scan(frame, start, None, length=n_frames)
     return states, report
