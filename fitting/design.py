@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from derjax import InputError, Scene, SceneFile, State, rollout
+from derjax import InputError, Scene, SceneFile, State, roll_frames
 from derjax.kinematics import head_angle, head_position
 from derjax.terms.head import HeadDrag
 
@@ -94,7 +94,7 @@ def design(
 
     def loss(free: Array) -> tuple[Array, Array]:
         built, state = build_with(scene, parameters, free, rpm)
-        frames, report = rollout(built, state, scene.n_frames, scene.steps_per_frame)
+        frames, report = roll_frames(built, state, scene.n_frames, scene.steps_per_frame)
         return -merit(built, frames), report.status
 
     def values(free: Array) -> dict[str, float]:

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from derjax import InputError, rollout
+from derjax import InputError, roll_frames
 from fitting.design import design, efficiency, speed
 from fitting.simulate import build_with
 from fitting.transforms import choose
@@ -25,7 +25,7 @@ def merits(short):
 
     def both(free):
         built, state = build_with(short, parameters, free, jnp.array(60.0))
-        frames, _ = rollout(built, state, short.n_frames, short.steps_per_frame)
+        frames, _ = roll_frames(built, state, short.n_frames, short.steps_per_frame)
         found = jnp.stack([speed(built, frames), efficiency(built, frames)])
         return found, (found, frames)
 
