@@ -4,6 +4,7 @@ import contextlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,15 +13,17 @@ from jaxtyping import Float
 from derjax import InputError, SolverError
 
 from .causes import Cause, likely_causes
-from .conclusion import Conclusion, judge, unlikely
+from .conclusion import Conclusion, judge
 from .explore import NEARLY, Exploration, distinct, explore, without
 from .goodness import Goodness
 from .levenberg import Iteration, Optimum, Trial, minimise
 from .model import Model
 from .outcome import Fit, Progress
+from .plausible import runaway, unlikely
 from .simulate import Simulated
 from .tracks import Dataset
 from .transforms import Parameters, choose
+from .uncertainty import Residuals
 
 Free = Float[np.ndarray, " p"]
 
@@ -82,7 +85,7 @@ def calibrate(
     model.compile(free)
 
     exploration = _explored(clock, free) if explored else None
-    if exploration is not None and exploration.optima[0].status == "interrupted":
+    if exploration is not None and _is_final(model, exploration):
         optima: tuple[Optimum[list[Simulated]], ...] = exploration.optima
     else:
         optima = _fits(clock, free, exploration, max_iterations, tolerance)
@@ -94,8 +97,8 @@ def calibrate(
             clock.begin("compare")
             trial = model.whole(free)
             before = None if trial is None else trial.model
-    return Conclusion(model, exploration, optima, judged, causes).fit(
-        start, before, clock.previews, time.perf_counter() - begun
+    return Conclusion(model, start, exploration, optima, judged, causes).fit(
+        before, clock.previews, clock.simulations, time.perf_counter() - begun
     )
 
 
@@ -126,6 +129,16 @@ def _explored(clock: "_Clock", free: Free) -> Exploration:
     return exploration
 
 
+def _is_final(model: Model, exploration: Exploration) -> bool:
+    """Whether whole simulations would tell nothing more than previews have told.
+
+    They do where a good fit leaves a parameter open on one side: the others are to be fitted.
+    """
+    best = exploration.optima[0]
+    ran_away = best.status == "diverged" and not judge(model, best).good
+    return ran_away or best.status == "interrupted"
+
+
 def _fits(
     clock: "_Clock",
     free: Free,
@@ -134,27 +147,26 @@ def _fits(
     tolerance: float,
 ) -> tuple[Optimum[list[Simulated]], ...]:
     """Optima of whole simulations, best first; after Ctrl-C the best so far alone."""
-    starts, fallback = [free], None
-    held = np.zeros(len(free), bool)
+    starts, fallback = [(free, np.zeros(len(free), bool))], None
     if exploration is not None:
-        held = np.array(exploration.held)
         lowest = exploration.optima[0].loss
         near = [o for o in exploration.optima if o.loss <= lowest + NEARLY]
-        starts, fallback = [o.free for o in near[:MOST_FITS]], exploration.optima[0]
+        starts = [
+            (o.free, np.array(exploration.held) | runaway(o.trial.residuals, o.free - free))
+            for o in near[:MOST_FITS]
+        ]
+        fallback = exploration.optima[0]
     found: list[Optimum[list[Simulated]]] = []
 
-    def evaluate(free: Free) -> Trial[list[Simulated]] | None:
-        trial = clock.whole(free)
-        return None if trial is None else without(trial, held)
-
     clock.begin("fit")
-    for start in starts:
+    for start, fixed in starts:
         try:
             optimum = minimise(
-                evaluate,
+                partial(_with_fixed, clock, fixed),
                 start,
                 max_iterations=max_iterations,
                 step_tolerance=tolerance,
+                is_lost=partial(_is_lost, free, fixed),
                 on_iteration=clock.on_iteration,
             )
         except KeyboardInterrupt:
@@ -163,13 +175,24 @@ def _fits(
                 raise
             return (replace(best, status="interrupted"),)
         if optimum is None:
-            if not found and start is starts[-1]:
+            if not found and start is starts[-1][0]:
                 raise _cannot(clock.model, start)
             continue
         found.append(optimum)
         if optimum.status == "interrupted":
             return (optimum,)
     return distinct(found)
+
+
+def _with_fixed(clock: "_Clock", fixed: np.ndarray, free: Free) -> Trial[list[Simulated]] | None:
+    """Whole simulations, without derivatives along some parameters."""
+    trial = clock.whole(free)
+    return None if trial is None else without(trial, fixed)
+
+
+def _is_lost(start: Free, fixed: np.ndarray, free: Free, residuals: Residuals) -> bool:
+    """Whether a search ran away from the start with a parameter that is not fixed."""
+    return bool((runaway(residuals, free - start) & ~fixed).any())
 
 
 def _checked(
@@ -202,8 +225,8 @@ class _Clock:
 
     def __init__(self, progress: Callable[[Progress], None], compare: bool) -> None:
         self.progress, self.compare = progress, compare
-        self.stage, self.iteration, self.previews = "compile", -1, 0
-        self.preview_steps = 0
+        self.stage, self.iteration = "compile", -1
+        self.previews = self.simulations = self.preview_steps = 0
 
     def begin(self, stage: str) -> None:
         """The evaluations that follow belong to this stage."""
@@ -221,6 +244,7 @@ class _Clock:
     def whole(self, free: Free) -> Trial[list[Simulated]] | None:
         """`Model.whole`, counted."""
         self.iteration += 1
+        self.simulations += 1
         return self.model.whole(free)
 
     def on_steps(self, done: int, whole: int) -> None:

@@ -166,7 +166,7 @@ def _start(words: list[str]) -> dict[str, float]:
 
 
 def _print_outcome(fit: Fit) -> None:
-    simulated = f"{fit.previews} previews and {fit.iterations + 1} whole simulations"
+    simulated = f"{fit.previews} previews and {fit.simulations} whole simulations"
     print(f"\n{fit.status} after {simulated}, {fit.wall_time:.0f} s\n")
     print(table(fit))
     names = list(fit.estimates)

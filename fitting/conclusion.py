@@ -1,6 +1,5 @@
 """What follows from a search for parameters: values, errors, and all that speaks against them."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +11,7 @@ from .goodness import Goodness, goodness
 from .levenberg import Optimum
 from .model import Model, predict
 from .outcome import Alternative, Estimate, Fit, RunFit
+from .plausible import course, implausible, runaway, unlikely
 from .residuals import fitted_drift, run_residuals
 from .simulate import Simulated
 from .tracks import robot_length
@@ -22,8 +22,12 @@ Free = Float[np.ndarray, " p"]
 BEYOND = 0.3
 """Part of an interval by which other values must lie outside of it to make it wider."""
 
-LARGEST_PREFACTOR = 30.0
-"""Prefactors of drag beyond this, or below its inverse, say that something else is wrong."""
+CONTRADICTION = (
+    "data and model probably contradict each other. Is an axis or the angle reversed (a minus "
+    "before the name of a column), do the motors turn the other way (motor_rpm, [robot] "
+    "handedness), are the units right (length_unit, pixel_size, time_unit, fps)?"
+)
+"""What is said of a parameter with which the loss falls for ever."""
 
 
 def judge(model: Model, best: Optimum[list[Simulated]]) -> Goodness:
@@ -36,23 +40,13 @@ def judge(model: Model, best: Optimum[list[Simulated]]) -> Goodness:
     return goodness(best.trial.residuals, runs, values, robot_length(model.dataset.scene))
 
 
-def unlikely(values: Mapping[str, float]) -> list[str]:
-    """Sentences on prefactors of drag that no head has; that of a sphere in free fluid is 1."""
-    return [
-        f"{name} = {values[name]:.4g} would be the drag of a head far "
-        f"{'larger' if values[name] > 1 else 'smaller'} than a ball of head_radius: are "
-        "length_unit, pixel_size, time_unit and viscosity right?"
-        for name in ("C_t", "C_r")
-        if name in values and not 1 / LARGEST_PREFACTOR < values[name] < LARGEST_PREFACTOR
-    ]
-
-
 @dataclass(frozen=True)
 class Conclusion:
     """All that is known at the end of a calibration.
 
     Attributes:
         model: of the fit.
+        start: parameters, by name.
         exploration: the search for optima; None if there was none.
         optima: of whole simulations, best first.
         goodness: of the best.
@@ -60,6 +54,7 @@ class Conclusion:
     """
 
     model: Model
+    start: dict[str, float]
     exploration: Exploration | None
     optima: tuple[Optimum[list[Simulated]], ...]
     goodness: Goodness
@@ -72,18 +67,16 @@ class Conclusion:
     @property
     def alternatives(self) -> tuple[Alternative, ...]:
         """The other optima that fit nearly as well."""
-        return tuple(
-            Alternative(self.model.values(o.free), o.loss - self.best.loss)
-            for o in self.optima[1:]
-            if o.loss <= self.best.loss + NEARLY
-        )
+        found = []
+        for other in self.optima[1:]:
+            if other.loss <= self.best.loss + NEARLY:
+                values = self.model.values(other.free)
+                reasons = implausible(self.model.parameters, values, self.start)
+                found.append(Alternative(values, other.loss - self.best.loss, reasons))
+        return tuple(found)
 
     def fit(
-        self,
-        start: dict[str, float],
-        before: list[Simulated] | None,
-        previews: int,
-        wall_time: float,
+        self, before: list[Simulated] | None, previews: int, simulations: int, wall_time: float
     ) -> Fit:
         """The outcome."""
         residuals = self.best.trial.residuals
@@ -99,10 +92,11 @@ class Conclusion:
             warnings=tuple(self.warnings(known, estimates)),
             loss=self.best.loss,
             noise=residuals.by_kind(residuals.variances()),
-            start=start,
+            start=self.start,
             history=self.best.history,
             iterations=len(self.best.history) - 1,
             previews=previews,
+            simulations=simulations,
             runs=tuple(self.runs(before)),
             dataset=self.model.dataset,
             wall_time=wall_time,
@@ -116,20 +110,39 @@ class Conclusion:
             np.zeros(count, bool) if self.exploration is None else np.array(self.exploration.held)
         )
 
+    @property
+    def walked(self) -> np.ndarray:
+        """(p,) along which parameters all values were looked at."""
+        count = len(self.best.free)
+        return (
+            np.zeros(count, bool) if self.exploration is None else np.array(self.exploration.walked)
+        )
+
+    @property
+    def change(self) -> Free:
+        """(p,) of the free parameters since the start."""
+        return self.best.free - self.model.parameters.free(self.start)
+
+    @property
+    def gone(self) -> np.ndarray:
+        """(p,) with which parameters the search ran away."""
+        return runaway(self.best.trial.residuals, self.change) & ~self.held
+
     def known(self) -> Uncertainty:
-        """Errors of the parameters that were fitted; infinite for those that were held.
+        """Errors of the parameters that have an optimum; infinite for others.
 
         That the held ones may be off by a factor of five either way is part of the errors.
         """
-        names, held = np.array(self.model.parameters.names), self.held
+        names, held = np.array(self.model.parameters.names), self.held | self.gone
         residuals = self.best.trial.residuals
         fitted = replace(residuals, jacobian=residuals.jacobian[:, ~held])
         known = uncertainty(fitted, names[~held].tolist())
         if not held.any():
             return known
-        assert self.exploration is not None
         std, correlation = np.full(len(held), np.inf), np.eye(len(held))
-        std[~held] = np.hypot(known.std, self.exploration.spread[~held] / 2)
+        std[~held] = known.std
+        if self.exploration is not None:
+            std[~held] = np.hypot(known.std, self.exploration.spread[~held] / 2)
         correlation[np.ix_(~held, ~held)] = known.correlation
         return Uncertainty(std, known.quantile, correlation, known.warnings)
 
@@ -144,6 +157,9 @@ class Conclusion:
         low = np.where(wider, np.minimum(low, lowest), low)
         high = np.where(wider, np.maximum(high, highest), high)
         std = np.where(unbounded, np.inf, std)
+        # Where the search ran away, there is an end at the other side alone.
+        low = np.where(self.gone & self.walked & (self.change > 0), lowest, low)
+        high = np.where(self.gone & self.walked & (self.change < 0), highest, high)
         values = self.model.values(free)
 
         def ends(low: Free, high: Free) -> dict[str, tuple[float, float]]:
@@ -190,12 +206,13 @@ class Conclusion:
             said.append("The error bars above assume that the model is right; do not rely on them.")
         if remark := self.goodness.remark():
             said.append(remark)
+        said = [*self._of_runaways(estimates), *said]
         for other in self.alternatives:
             values = ", ".join(f"{name} = {value:.4g}" for name, value in other.values.items())
-            said.append(
-                f"{values} fits nearly as well (loss higher by {other.excess:.2g}): the tracks "
-                "hardly decide between the two."
-            )
+            but = ": the tracks hardly decide between the two"
+            if other.implausible:
+                but = f", but is not plausible: {' and '.join(other.implausible.values())}"
+            said.append(f"{values} fits nearly as well (loss higher by {other.excess:.2g}){but}.")
         for name, held in zip(self.model.parameters.names, self.held, strict=True):
             if held:
                 said.append(
@@ -203,8 +220,8 @@ class Conclusion:
                     f"{estimates[name].value:.4g}. What a factor of five of it does to the others "
                     "is part of their errors."
                 )
-        for name, estimate in estimates.items():
-            if not estimate.widened:
+        for (name, estimate), gone in zip(estimates.items(), self.gone, strict=True):
+            if gone or not estimate.widened:
                 continue
             low, high = estimate.ci95
             if np.isinf(estimate.std):
@@ -218,6 +235,28 @@ class Conclusion:
                     f"{high:.4g}; the curvature at the optimum alone would make it narrower."
                 )
         return [*said, *known.warnings]
+
+    def _of_runaways(self, estimates: dict[str, Estimate]) -> list[str]:
+        """Sentences on parameters with which the loss falls for ever."""
+        said = []
+        for k in np.flatnonzero(self.gone).tolist():
+            name = self.model.parameters.names[k]
+            value, (low, high) = estimates[name].value, estimates[name].ci95
+            path = course(self.model.parameters, k, self.change[k])
+            falls = (
+                f"The loss keeps falling as {name} {path}: at {value:.4g}, where the search was "
+                f"stopped (it began at {self.start[name]:.4g}), it still fell"
+            )
+            if not self.goodness.good:
+                said.append(f"{falls}. No {name} fits: {CONTRADICTION}")
+                continue
+            if not self.walked[k]:
+                said.append(f"{falls}. The tracks do not say how far it goes.")
+                continue
+            end, which = (low, "at least") if self.change[k] > 0 else (high, "at most")
+            but = f" That is not plausible: {CONTRADICTION}" if unlikely({name: end}) else ""
+            said.append(f"{falls}. The tracks only say that {name} is {which} {end:.3g}.{but}")
+        return said
 
     def runs(self, before: list[Simulated] | None) -> list[RunFit]:
         """What has become of every run."""

@@ -17,6 +17,10 @@ Three things are done about it, all with the cheap model that the caller gives:
   tracks to change about linearly in each of them, so that no minimum is stepped over. The lowest
   points of the walk are starts of more searches downhill.
 
+A search that runs away with a parameter, since the loss falls as far as it goes, is stopped where
+the parameter does not change the tracks any more. Then all values between there and the start are
+looked at. If none of them is better, there is no optimum.
+
 The walk also says which values fit nearly as well as the best, which the curvature at one minimum
 cannot.
 """
@@ -30,6 +34,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .levenberg import Iteration, Optimum, Trial, damped_step, minimise
+from .plausible import FARTHEST, runaway
 from .uncertainty import Residuals, shifted
 
 T = TypeVar("T")
@@ -38,9 +43,6 @@ Evaluate = Callable[[Free], Trial[T] | None]
 
 REACH = float(np.log(6.0))
 """How far a walk goes beyond start and optimum, in a free parameter."""
-
-FARTHEST = float(np.log(30.0))
-"""How far from the start an optimum is still taken for one, in a free parameter, by walks."""
 
 ASIDE = 0.35
 """How far from an optimum the two looks at its sides are taken, in a free parameter."""
@@ -137,20 +139,23 @@ def explore(
 
     Returns:
         None if the model cannot be computed at the start. After Ctrl-C there is one optimum,
-        whose status is "interrupted".
+        whose status is "interrupted". If the loss is lowest where a search ran away, the status of
+        the first is "diverged".
 
     Raises:
         KeyboardInterrupt: before the model at the start was known.
     """
-    first = _downhill(evaluate, start, 12, on_iteration)
+    first = _downhill(evaluate, start, 12, start, on_iteration)
     if first is None:
         return None
     search = _Search(evaluate, start, [first])
     if first.status != "interrupted":
         with contextlib.suppress(KeyboardInterrupt):
             search.hold()
-            for k in np.flatnonzero(~search.held):
-                search.look_along(int(k))
+            search.turn_back()
+            if not search.gone(search.best).any():
+                for k in np.flatnonzero(~search.held):
+                    search.look_along(int(k))
             return search.outcome(distinct(search.optima))
     best = search.best
     stopped = Optimum(best.free, best.trial, "interrupted", best.history)
@@ -180,6 +185,10 @@ class _Search:
         trial = self._evaluate(free)
         return None if trial is None else without(trial, self.held)
 
+    def gone(self, optimum: Optimum) -> np.ndarray:
+        """(p,) with which parameters a search ran away."""
+        return runaway(optimum.trial.residuals, optimum.free - self.start)
+
     def hold(self) -> None:
         """Hold the parameters that hardly matter."""
         for k in range(len(self.start)):
@@ -190,7 +199,10 @@ class _Search:
             self.held[k] = True
             free = best.free.copy()
             free[k] = self.start[k]
-            found = None if self.held.all() else _downhill(self.evaluate, free, 8)
+            found = None if self.held.all() else _downhill(self.evaluate, free, 8, self.start)
+            if found is not None and found.status == "interrupted":
+                self.held = before
+                raise KeyboardInterrupt
             spread = None
             if found is not None and found.loss < best.loss + HARDLY_WORSE:
                 spread = self._spread(found, k)
@@ -214,20 +226,41 @@ class _Search:
             most = np.maximum(most, np.abs(change))
         return most
 
+    def turn_back(self) -> None:
+        """If the best search ran away with a parameter, look along it from the start to there."""
+        far = self.best
+        gone = np.flatnonzero(self.gone(far)).tolist()
+        begin = self.evaluate(self.start) if gone else None
+        if begin is None:
+            return
+        for k in gone:
+            back, there = self.start[k], far.free[k]
+            self.limits[k] = min(back - REACH, there), max(back + REACH, there)
+            path = _walk(self.evaluate, self.start, begin, k, self.limits[k], far.trial.residuals)
+            end = [Point(far.free, far.loss)]
+            self._search_along([*path, *end] if there > back else [*end, *path], far, k)
+        if not self.gone(self.best).any():
+            self.optima = [o for o in self.optima if not self.gone(o).any()]
+            self.hold()
+
     def look_along(self, k: int) -> None:
         """See whether there are other optima along a parameter."""
         best = self.best
         if _is_simple(self.evaluate, best, k):
             return
-        self.walked[k] = True
         here = np.clip(best.free[k], self.start[k] - FARTHEST, self.start[k] + FARTHEST)
-        ends = min(self.start[k], here) - REACH, max(self.start[k], here) + REACH
-        self.limits[k] = ends
-        path = _walk(self.evaluate, best, k, ends)
+        self.limits[k] = min(self.start[k], here) - REACH, max(self.start[k], here) + REACH
+        unit = best.trial.residuals
+        path = _walk(self.evaluate, best.free, best.trial, k, self.limits[k], unit)
+        self._search_along(path, best, k)
+
+    def _search_along(self, path: list[Point], best: Optimum, k: int) -> None:
+        """Search from the lowest points of a walk along parameter k."""
+        self.walked[k] = True
         self.points += path
         self.minima += int(np.count_nonzero(_are_minima(path)))
         for point in _lowest(path, best, k):
-            found = _downhill(self.evaluate, point.free, 8)
+            found = _downhill(self.evaluate, point.free, 8, self.start)
             if found is not None:
                 self.optima.append(found)
                 if found.status == "interrupted":
@@ -300,16 +333,19 @@ def _gap(one: Residuals, other: Residuals, unit: Residuals) -> float:
 
 def _downhill(
     evaluate: Evaluate[T],
-    start: Free,
+    free: Free,
     most: int,
+    start: Free,
     on_iteration: Callable[[Iteration], None] = lambda iteration: None,
 ) -> Optimum[T] | None:
+    """The optimum downhill from some parameters, unless they run away from the start."""
     return minimise(
         evaluate,
-        start,
+        free,
         max_iterations=most,
         step_tolerance=1e-3,
         gain_tolerance=0.05,
+        is_lost=lambda free, residuals: bool(runaway(residuals, free - start).any()),
         on_iteration=on_iteration,
     )
 
@@ -353,12 +389,26 @@ def _is_simple(evaluate: Evaluate[T], best: Optimum[T], k: int) -> bool:
 
 
 def _walk(
-    evaluate: Evaluate[T], best: Optimum[T], k: int, ends: tuple[float, float]
+    evaluate: Evaluate[T],
+    start: Free,
+    begin: Trial[T],
+    k: int,
+    ends: Float[np.ndarray, "2"],
+    unit: Residuals,
 ) -> list[Point]:
-    """Points along parameter k, in order, from one end to the other."""
+    """Points along parameter k, in order, from one end to the other.
+
+    Args:
+        evaluate: the model.
+        start: (p,) where the walks to both sides begin.
+        begin: the model there.
+        k: the parameter.
+        ends: of the walks.
+        unit: residuals whose noise is that of the tracks.
+    """
     sides = []
     for sign, end in zip((-1.0, 1.0), ends, strict=True):
-        free, trial, length = best.free, best.trial, 0.15
+        free, trial, length = start, begin, 0.15
         settling, _ = _settled(free, trial, k)
         path: list[Point] = []
         while len(path) < MOST_STEPS and sign * (end - free[k]) > SHORTEST:
@@ -368,8 +418,8 @@ def _walk(
             if new is None:
                 break
             predicted = shifted(trial.residuals, step)
-            missed = _gap(predicted, new.residuals, best.trial.residuals)
-            moved = _gap(predicted, trial.residuals, best.trial.residuals)
+            missed = _gap(predicted, new.residuals, unit)
+            moved = _gap(predicted, trial.residuals, unit)
             grow = 2.0
             if missed > UNSEEN:
                 grow = float(np.clip(NONLINEAR * moved / missed, 0.4, 2.0))
@@ -381,7 +431,7 @@ def _walk(
             settling, point = _settled(free, trial, k)
             path.append(point)
         sides.append(path)
-    return [*reversed(sides[0]), Point(best.free, best.loss), *sides[1]]
+    return [*reversed(sides[0]), Point(start, begin.residuals.loss()), *sides[1]]
 
 
 def _lowest(path: Sequence[Point], best: Optimum, k: int) -> list[Point]:

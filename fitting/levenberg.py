@@ -58,7 +58,8 @@ class Optimum(Generic[T]):
         free: (p,) best free parameters.
         trial: the model there.
         status: "converged"; "max_iterations"; "stalled", if no step improves although the
-            gradient has not vanished; "interrupted".
+            gradient has not vanished; "diverged", if it left for where there is no optimum;
+            "interrupted".
         history: every iteration; the first is the evaluation of the start.
     """
 
@@ -80,6 +81,7 @@ def minimise(
     max_iterations: int = 30,
     step_tolerance: float = 1e-6,
     gain_tolerance: float = 1e-3,
+    is_lost: Callable[[Float[np.ndarray, " p"], Residuals], bool] = lambda free, residuals: False,
     on_iteration: Callable[[Iteration], None] = lambda iteration: None,
 ) -> Optimum[T] | None:
     """Parameters that minimise `Residuals.loss`.
@@ -98,6 +100,7 @@ def minimise(
         step_tolerance: also converged is a search whose next full step, neither damped nor
             shortened, would change no free parameter by more than this.
         gain_tolerance: of the loss.
+        is_lost: whether a search that has come to these parameters and residuals has diverged.
         on_iteration: called after every iteration.
 
     Returns:
@@ -130,6 +133,8 @@ def minimise(
     try:
         note(True)
         while True:
+            if is_lost(free, best.residuals):
+                return ended("diverged")
             full, explained = _newton(best.residuals)
             if np.abs(full).max() < step_tolerance or 0.5 * explained < gain_tolerance:
                 return ended("converged")

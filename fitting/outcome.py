@@ -37,10 +37,12 @@ class Alternative:
     Attributes:
         values: parameters by name.
         excess: by which its loss is larger.
+        implausible: parameters with values that no robot is expected to have, and why not.
     """
 
     values: dict[str, float]
     excess: float
+    implausible: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,8 @@ class Fit:
     """The outcome of a calibration.
 
     Attributes:
-        status: "converged", "max_iterations", "stalled" or "interrupted".
+        status: "converged"; "max_iterations"; "stalled"; "diverged", if the loss falls for ever
+            with a parameter and the fit is bad; "interrupted".
         estimates: by name of the parameter.
         correlation: (p, p) of the estimates, in the order of `estimates`.
         goodness: whether the simulation describes the tracks.
@@ -82,6 +85,7 @@ class Fit:
         history: evaluations of the fit to whole simulations.
         iterations: steps tried in it.
         previews: simulations of all runs that were cut short, to look for the optimum.
+        simulations: of all runs to their ends, to fit them.
         runs: in the order of the dataset.
         dataset: what was fitted.
         wall_time: s.
@@ -100,6 +104,7 @@ class Fit:
     history: tuple[Iteration, ...]
     iterations: int
     previews: int
+    simulations: int
     runs: tuple[RunFit, ...]
     dataset: Dataset
     wall_time: float

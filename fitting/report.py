@@ -75,6 +75,7 @@ def as_dict(fit: Fit) -> dict[str, Any]:
         ],
         "iterations": fit.iterations,
         "previews": fit.previews,
+        "whole_simulations": fit.simulations,
         "wall_time_s": round(fit.wall_time, 3),
         "dataset": None if fit.dataset.path is None else str(fit.dataset.path),
         "derjax": version("derjax"),

@@ -130,7 +130,7 @@ def uncertainty(residuals: Residuals, names: Sequence[str]) -> Uncertainty:
         jacobian = jacobian * np.sqrt(dof / residuals.value.size)
         quantile = float(stats.t.ppf(0.975, dof))
     _, singular, vt = np.linalg.svd(jacobian, full_matrices=False)
-    null = singular <= RANK_TOLERANCE * max(singular[0], np.finfo(float).tiny)
+    null = singular <= RANK_TOLERANCE * singular.max(initial=np.finfo(float).tiny)
     inverse = np.where(null, 0.0, 1.0 / np.where(null, 1.0, singular))
     covariance = (vt.T * inverse**2) @ vt
     lost = (np.abs(vt[null]) > 1e-3).any(axis=0)

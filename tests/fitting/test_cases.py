@@ -82,6 +82,25 @@ def test_an_angle_alone_gives_the_spin_and_says_what_it_does_not(seen, tmp_path)
     assert "C_t hardly matters for these tracks: it was held at its start, 3" in warning
 
 
+def test_a_fit_that_runs_away_says_so(seen, tmp_path) -> None:
+    """With the angle reversed no head turns slowly enough."""
+    channels = dict(zip(("x", "y", "z", "th"), (seen * [1, 1, 1, -1]).T, strict=True))
+    keys = ALL.replace("sigma = 0.1\nsigma_angle = 0.02\n", "")
+    content = fitted(tmp_path, table_of({"t": TIMES, **channels}), keys)
+    assert content["status"] == "diverged"
+    assert content["whole_simulations"] == 0
+    assert content["previews"] <= 25
+    assert content["parameters"]["C_r"]["std"] is None
+    first = content["warnings"][0]
+    assert "The loss keeps falling as C_r grows without end: at " in first
+    assert "it began at 0.6" in first
+    assert "a minus before the name of a column" in first
+    assert "head_angle reversed" in content["likely_causes"][0]["sentence"]
+    said = " ".join(content["warnings"])
+    assert "not identifiable" not in said
+    assert "not determined" not in said
+
+
 DRIFT = np.array([0.1, 0.06, 0.0])
 """mm/s."""
 

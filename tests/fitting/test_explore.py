@@ -1,6 +1,7 @@
 """The search beyond the basin of the start, on models whose loss is known everywhere."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -126,6 +127,58 @@ def test_a_loss_with_one_minimum_costs_little() -> None:
     assert found.optima[0].free == pytest.approx(TRUTH, abs=0.01)
     assert found.points == ()
     assert evaluate.count <= 16
+
+
+def saturating(free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Something that only ever falls with one parameter, and a second one."""
+    first, second = np.exp(free)
+    value = np.concatenate([TIMES / first, second * TIMES])
+    zero = np.zeros_like(TIMES)
+    columns = [np.concatenate([-TIMES / first, zero]), np.concatenate([zero, second * TIMES])]
+    return value, np.stack(columns, axis=1)
+
+
+@pytest.mark.parametrize("noise", [0.1, 3.0])
+def test_a_search_that_runs_away_ends_soon(noise: float) -> None:
+    """Data of the other sign are fitted the better the larger the parameter."""
+
+    inner = model(saturating, noise)
+
+    def evaluate(free: np.ndarray) -> Trial[None]:
+        trial = inner(free)
+        shift = np.concatenate([2.0 * TIMES, 0.0 * TIMES])
+        moved = replace(trial.residuals, value=trial.residuals.value + shift)
+        return replace(trial, residuals=moved)
+
+    found = explore(evaluate, TRUTH)
+    assert found is not None
+    assert found.optima[0].status == "diverged"
+    assert found.optima[0].free[0] > TRUTH[0] + np.log(30.0)
+    assert found.optima[0].free[1] == pytest.approx(TRUTH[1], abs=0.1)
+    assert found.held == (False, False)
+    assert inner.count <= 40
+
+
+def test_an_optimum_near_the_start_is_found_though_the_search_runs_away() -> None:
+    """From the start the way down leads to a plateau; the optimum is at the other side."""
+
+    def bump(free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        (x,) = free
+        hill, step = np.exp(-2.0 * (x + 1.0) ** 2), 1.0 / (1.0 + np.exp(-2.0 * (x - 1.0)))
+        slope = -4.0 * (x + 1.0) * hill + 0.6 * step * (1.0 - step)
+        return (hill + 0.3 * step) * TIMES, (slope * TIMES)[:, None]
+
+    evaluate = model(bump, noise=0.1, truth=np.array([-1.1]))
+    start = np.array([0.6])
+    downhill = minimise(evaluate, start)
+    assert downhill is not None
+    assert downhill.free[0] > 4.0
+    found = explore(evaluate, start)
+    assert found is not None
+    assert found.optima[0].status == "converged"
+    assert found.optima[0].loss < downhill.loss - 50.0
+    assert -1.3 < found.optima[0].free[0] < -0.7
+    assert all(optimum.free[0] < 3.0 for optimum in found.optima)
 
 
 def test_a_start_that_fails() -> None:

@@ -94,6 +94,12 @@ def test_the_gradient_of_the_loss_is_that_of_weighted_least_squares(linear, give
         assert slope == pytest.approx(gradient[i], rel=1e-6)
 
 
+def test_nothing_is_to_be_known_without_parameters(linear) -> None:
+    known = uncertainty(replace(noisy(linear, 0), jacobian=np.empty((80, 0))), ())
+    assert known.std.shape == (0,)
+    assert known.quantile == pytest.approx(1.99, abs=0.01)
+
+
 def test_a_parameter_without_effect_is_named(linear) -> None:
     jacobian = np.c_[linear.jacobian, np.zeros(80)]
     known = uncertainty(replace(noisy(linear, 0), jacobian=jacobian), ("a", "b", "density"))
