@@ -28,9 +28,9 @@ import numpy as np
 import pandas as pd
 
 import derjax
-from derjax.batch import ALL, advance, build_many, processors, spread, use_all_processors
-from derjax.runtime import enable_compilation_cache, use_one_blas_thread
-from derjax.scenefile import SceneFile
+from derjax.core.runtime import enable_compilation_cache, use_one_blas_thread
+from derjax.runs.batch import ALL, advance, build_many, processors, spread, use_all_processors
+from derjax.scenes.file import SceneFile
 
 from .tables import write
 

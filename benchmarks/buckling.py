@@ -36,8 +36,8 @@ from jaxtyping import Array, Float
 
 import derjax
 from derjax import RolloutStats, Scene, SceneFile, State
-from derjax.frames import new_stats
-from derjax.progress import Progress
+from derjax.integrate.frames import new_stats
+from derjax.runs.progress import Progress
 
 PITCHES = (5, 7, 9)
 RPM = (30.0, 50.0, *np.arange(75.0, 301.0, 25.0).tolist())

@@ -20,8 +20,8 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from derjax.scenefile import SceneFile
-from derjax.simulation import SUMMARY, TRAJECTORY, Options, simulate
+from derjax.runs.simulation import SUMMARY, TRAJECTORY, Options, simulate
+from derjax.scenes.file import SceneFile
 
 RADIUS = 6.36e-3
 """m, in which the paper counts pitches."""

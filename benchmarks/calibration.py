@@ -23,8 +23,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from derjax import SceneFile
-from derjax.files import atomic_path
-from derjax.runtime import enable_compilation_cache, use_one_blas_thread
+from derjax.core.runtime import enable_compilation_cache, use_one_blas_thread
+from derjax.io.files import atomic_path
 from fitting.calibrate import calibrate
 from fitting.model import Model
 from fitting.observe import interpolation

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 import derjax
-from derjax.scenefile import SceneFile
+from derjax.scenes.file import SceneFile
 
 STEPS, ROUNDS, BUNDLED = 40, 7, 10.0
 VARIANTS = {

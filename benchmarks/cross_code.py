@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 import derjax
-from derjax.scenefile import SceneFile
+from derjax.scenes.file import SceneFile
 
 DATA = Path(__file__).parent.parent / "data" / "reference"
 RATES = (30, 70, 100)

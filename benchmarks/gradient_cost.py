@@ -20,8 +20,8 @@ import matplotlib.pyplot as plt
 import pandas as pd
 
 import derjax
-from derjax.runtime import enable_compilation_cache, use_one_blas_thread
-from derjax.scenefile import SceneFile
+from derjax.core.runtime import enable_compilation_cache, use_one_blas_thread
+from derjax.scenes.file import SceneFile
 
 from .tables import write
 

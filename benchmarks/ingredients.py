@@ -22,9 +22,9 @@ import matplotlib.pyplot as plt
 import pandas as pd
 
 import derjax
-from derjax.frames import march_frames, new_report
-from derjax.runtime import use_one_blas_thread
-from derjax.scenefile import SceneFile
+from derjax.core.runtime import use_one_blas_thread
+from derjax.integrate.frames import march_frames, new_stats
+from derjax.scenes.file import SceneFile
 
 from .tables import write
 
@@ -112,7 +112,7 @@ def measure(steps: int) -> pd.DataFrame:
             **step_program(built, state),
         }
         to_start = jnp.asarray(round(START / STEP))
-        states, report = _march(built, state, 1, to_start, new_report())
+        states, report = _march(built, state, 1, to_start, new_stats())
         report.raise_if_failed()
         runs[name] = built, jax.tree.map(lambda leaf: leaf[-1], states)
         print(rows[name], flush=True)
@@ -121,7 +121,7 @@ def measure(steps: int) -> pd.DataFrame:
         for name, (built, state) in runs.items():
             began = time.process_time()
             _, report = jax.block_until_ready(
-                _march(built, state, 1, jnp.asarray(steps), new_report())
+                _march(built, state, 1, jnp.asarray(steps), new_stats())
             )
             best[name] = min(best[name], time.process_time() - began)
             report.raise_if_failed()

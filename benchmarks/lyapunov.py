@@ -24,8 +24,8 @@ import numpy as np
 import pandas as pd
 
 import derjax
-from derjax.progress import Progress
-from derjax.scenefile import SceneFile
+from derjax.runs.progress import Progress
+from derjax.scenes.file import SceneFile
 
 PITCH, STEP, STEPS = 31.8e-3, 5e-3, 20
 DIFFERENCES = (1e-9, 1e-7, 1e-5)

@@ -25,13 +25,13 @@ import pandas as pd
 
 import derjax
 from derjax import RolloutStats, Scene, State
-from derjax.bundling import contact_forces
-from derjax.frames import new_stats
-from derjax.runtime import enable_compilation_cache, use_one_blas_thread
-from derjax.scene import enlarge
-from derjax.scenefile import SceneFile
-from derjax.status import Status
-from derjax.terms.contact import Contact
+from derjax.core.runtime import enable_compilation_cache, use_one_blas_thread
+from derjax.core.status import Status
+from derjax.integrate.frames import new_stats
+from derjax.results.bundling import contact_forces
+from derjax.scenes.build import enlarge
+from derjax.scenes.file import SceneFile
+from derjax.terms.contact.repulsion import Contact
 
 from .tables import write
 

@@ -30,11 +30,11 @@ import pandas as pd
 from scipy.optimize import brentq
 
 import derjax
-from derjax.frames import march_frames, new_report
-from derjax.runtime import enable_compilation_cache, use_one_blas_thread
-from derjax.scenefile import SceneFile
-from derjax.summary import summarise
-from derjax.trajectory import to_dataset
+from derjax.core.runtime import enable_compilation_cache, use_one_blas_thread
+from derjax.integrate.frames import march_frames, new_stats
+from derjax.results.dataset import to_dataset
+from derjax.results.summary import summarise
+from derjax.scenes.file import SceneFile
 
 from .rigid import rigid_resistance, stokeslet_resistance
 from .tables import markdown
@@ -157,7 +157,7 @@ def robots() -> pd.DataFrame:
             scene = derjax.build(plain, {"regularization": ratio * radius})
             state = scene.start
             steps = jnp.asarray(plain.steps_per_frame)
-            states, report = _march(scene, state, plain.n_frames, steps, new_report())
+            states, report = _march(scene, state, plain.n_frames, steps, new_stats())
             frames = jax.tree.map(lambda a, b: np.concatenate([a[None], b]), state, states)
             summary = summarise(to_dataset(scene, frames))
             edge = float(scene.rod.rest_length[0])

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from derjax import at_rest, chain
-from derjax.potential import gather
+from derjax.solve.potential import gather
 from derjax.terms import ResistiveDrag, Stage, StokesletSegments
 from derjax.terms.term import contributions
 

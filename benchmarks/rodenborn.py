@@ -28,7 +28,7 @@ from benchmarks.rigid import (
     stokeslet_resistance,
 )
 from derjax.shapes import helix
-from derjax.terms.resistive import gray_hancock, lighthill
+from derjax.terms.fluid.resistive import gray_hancock, lighthill
 
 EXPERIMENT = Path(__file__).parent.parent / "data" / "rodenborn_2013.csv"
 QUANTITIES = ("thrust", "torque", "drag")

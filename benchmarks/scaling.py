@@ -19,9 +19,9 @@ import numpy as np
 import pandas as pd
 
 import derjax
-from derjax.frames import new_report
-from derjax.runtime import enable_compilation_cache, use_one_blas_thread
-from derjax.scenefile import SceneFile
+from derjax.core.runtime import enable_compilation_cache, use_one_blas_thread
+from derjax.integrate.frames import new_stats
+from derjax.scenes.file import SceneFile
 
 from .tables import write
 
@@ -66,12 +66,12 @@ def measure(way: str, file: SceneFile) -> dict[str, object]:
     scene = derjax.build(file)
     state = scene.start
     began = time.perf_counter()
-    compiled = _march.lower(scene, state, 1, STEPS, new_report()).compile()
+    compiled = _march.lower(scene, state, 1, STEPS, new_stats()).compile()
     compile_s = time.perf_counter() - began
-    best, report = float("inf"), new_report()
+    best, report = float("inf"), new_stats()
     for _ in range(2 if scene.rod.topology.n_nodes < 700 else 1):
         began = time.process_time()
-        _, report = jax.block_until_ready(compiled(scene, state, new_report()))
+        _, report = jax.block_until_ready(compiled(scene, state, new_stats()))
         best = min(best, time.process_time() - began)
     row = {
         "way": way,

@@ -17,11 +17,11 @@ from scipy.optimize import brentq
 
 import derjax
 from derjax import SceneFile
-from derjax.frames import march_frames
-from derjax.rod import positions
-from derjax.runtime import use_one_blas_thread
-from derjax.summary import summarise
-from derjax.trajectory import to_dataset
+from derjax.core.runtime import use_one_blas_thread
+from derjax.integrate.frames import march_frames
+from derjax.results.dataset import to_dataset
+from derjax.results.summary import summarise
+from derjax.rods.rod import positions
 
 from .tables import write
 

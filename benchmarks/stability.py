@@ -47,14 +47,14 @@ from pydantic import ValidationError
 
 import derjax
 from derjax import InputError, RolloutStats, Scene, SceneFile, State, Status
-from derjax.files import atomic_path
-from derjax.frames import SEGMENTS, TRIES, _attempt, _going, _Run, new_stats
-from derjax.progress import Progress, interruptible
-from derjax.pytree import replace
-from derjax.runtime import enable_compilation_cache, use_one_blas_thread
-from derjax.scene import build_unchecked
-from derjax.scenefile import TOLERANCES, MotorTable, Time, check
-from derjax.shape import touching_pairs
+from derjax.core.pytree import replace
+from derjax.core.runtime import enable_compilation_cache, use_one_blas_thread
+from derjax.integrate.frames import SEGMENTS, TRIES, _attempt, _going, _Run, new_stats
+from derjax.io.files import atomic_path
+from derjax.runs.progress import Progress, interruptible
+from derjax.scenes.build import build_unchecked
+from derjax.scenes.file import TOLERANCES, MotorTable, Time, check
+from derjax.scenes.shape import touching_pairs
 
 END, SHORT = 1.0, 0.2
 """Length of a run, s."""
@@ -318,7 +318,7 @@ class Run(NamedTuple):
 
 @jax.jit
 def _tries(scene: Scene, now: _Run, most: int) -> _Run:
-    """What `derjax.frames.march_frames` does in a frame, but not more than so many tries of it.
+    """What `march_frames` does in a frame, but not more than so many tries of it.
 
     A try may take half a minute where everything goes wrong, and a frame has up to 1,024.
     """

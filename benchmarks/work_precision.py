@@ -42,18 +42,18 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from scipy.interpolate import CubicSpline
 
 import derjax
-from derjax.frames import march_frames, new_report
-from derjax.pytree import replace
-from derjax.rod import positions
-from derjax.runtime import enable_compilation_cache, use_one_blas_thread
-from derjax.scene import enlarge
-from derjax.scenefile import TOLERANCES as DEFAULTS
-from derjax.scenefile import SceneFile
-from derjax.schemes.euler import euler
-from derjax.schemes.trbdf2 import trbdf2
-from derjax.status import Status
-from derjax.summary import summarise
-from derjax.trajectory import to_dataset
+from derjax.core.pytree import replace
+from derjax.core.runtime import enable_compilation_cache, use_one_blas_thread
+from derjax.core.status import Status
+from derjax.integrate.frames import march_frames, new_stats
+from derjax.integrate.schemes.euler import euler
+from derjax.integrate.schemes.trbdf2 import trbdf2
+from derjax.results.dataset import to_dataset
+from derjax.results.summary import summarise
+from derjax.rods.rod import positions
+from derjax.scenes.build import enlarge
+from derjax.scenes.file import TOLERANCES as DEFAULTS
+from derjax.scenes.file import SceneFile
 
 from .tables import markdown
 
@@ -280,7 +280,7 @@ class Runs:
             self._programs.clear()
             jax.clear_caches()
         times = setting.file.time
-        steps, start = jnp.asarray(times.steps_per_frame), new_report()
+        steps, start = jnp.asarray(times.steps_per_frame), new_stats()
         for enlarged in range(6):
             program = (*setting.program, enlarged)
             if program not in self._programs:
@@ -383,7 +383,7 @@ def orders(quick: bool) -> pd.DataFrame:
 
 def _end(scene: derjax.Scene, state: derjax.State, count: int) -> derjax.State:
     """The state after so many steps."""
-    states, report = _march(scene, state, 1, jnp.asarray(count), new_report())
+    states, report = _march(scene, state, 1, jnp.asarray(count), new_stats())
     report.raise_if_failed()
     return jax.tree.map(lambda leaf: leaf[-1], states)
 

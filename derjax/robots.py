@@ -8,10 +8,10 @@ of [robot] (`edge_length`, `phase`, ...), and whole tables (`time={"end": 5.0}`)
 
 from typing import Any
 
-from .errors import InputError
-from .messages import checked
-from .parameters import PLACES
-from .scenefile import Robot, SceneFile
+from .core.errors import InputError
+from .scenes.file import Robot, SceneFile
+from .scenes.messages import checked
+from .scenes.parameters import PLACES
 
 
 def single_flagellum(**numbers: Any) -> SceneFile:

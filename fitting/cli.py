@@ -9,7 +9,7 @@ from pathlib import Path
 
 from derjax import InputError, SolverError
 from derjax.commands.options import add_output, add_quiet
-from derjax.output import Output, output_directory
+from derjax.io.output import Output, output_directory
 
 from .calibrate import beginning, calibrate
 from .outcome import Fit, Progress

@@ -14,7 +14,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from derjax.fields import Finite, Positive, Switch, Table
+from derjax.io.fields import Finite, Positive, Switch, Table
 
 from .observe import CHANNELS
 

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from derjax import InputError, Scene, SceneFile, State, roll_frames
-from derjax.kinematics import head_angle, head_position
-from derjax.terms.head import HeadDrag
+from derjax.results.head import head_angle, head_position
+from derjax.terms.fluid.head import HeadDrag
 
 from .descent import descend
 from .simulate import build_with

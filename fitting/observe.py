@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from derjax import State, Topology, angles, positions
-from derjax.kinematics import head_angle, head_of, head_position
-from derjax.rod import material_directors, tangents
+from derjax.results.head import head_angle, head_of, head_position
+from derjax.rods.rod import material_directors, tangents
 
 CHANNELS = ("x", "y", "z", "head_angle")
 """What can be tracked: position of the head node (m) and angle of the head (rad)."""

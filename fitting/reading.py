@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from derjax import InputError
-from derjax.errors import InputWarning
-from derjax.fields import TIME_UNITS
-from derjax.tables import Numbers, TextTable, read_table, same, seconds
+from derjax.core.errors import InputWarning
+from derjax.io.fields import TIME_UNITS
+from derjax.io.tables import Numbers, TextTable, read_table, same, seconds
 
 from .datasetfile import ANGLE_UNITS, RunFile
 

@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from derjax.output import Output
-from derjax.scenefile import UNITS
+from derjax.io.output import Output
+from derjax.scenes.file import UNITS
 
 from .observe import ANGLE, CHANNELS
 from .outcome import Fit, RunFit

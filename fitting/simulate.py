@@ -21,8 +21,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from derjax import RolloutStats, Scene, SceneFile, State, build, roll_frames
-from derjax.frames import march_frames, new_stats
-from derjax.terms.contact import Contact
+from derjax.integrate.frames import march_frames, new_stats
+from derjax.terms.contact.repulsion import Contact
 
 from .observe import observations, orientations
 from .screw import Motion

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from derjax.errors import WriteWarning
-from derjax.files import atomic_path
-from derjax.frames import RolloutStats
+from derjax.core.errors import WriteWarning
+from derjax.integrate.frames import RolloutStats
+from derjax.io.files import atomic_path
 
 from .simulate import Simulated
 
@@ -39,7 +39,9 @@ class Store:
         arrays = {}
         for k, one in enumerate(simulated):
             arrays |= {f"{k}.{name}": getattr(one, name) for name in ARRAYS}
-            arrays |= {f"{k}.report.{f.name}": getattr(one.report, f.name) for f in fields(RolloutStats)}
+            arrays |= {
+                f"{k}.report.{f.name}": getattr(one.report, f.name) for f in fields(RolloutStats)
+            }
         try:
             with atomic_path(self.directory / f"{key}.npz") as temporary:
                 np.savez(temporary, **arrays)
@@ -67,7 +69,9 @@ class Store:
         simulated = []
         for k in range(len({name.split(".")[0] for name in arrays})):
             kept = {name: arrays[f"{k}.{name}"] for name in ARRAYS}
-            report = RolloutStats(**{f.name: arrays[f"{k}.report.{f.name}"] for f in fields(RolloutStats)})
+            report = RolloutStats(
+                **{f.name: arrays[f"{k}.report.{f.name}"] for f in fields(RolloutStats)}
+            )
             time = step * np.arange(len(kept["observed"]))
             simulated.append(Simulated(time=time, report=report, **kept))
         self._memory[key] = simulated

@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Float
 
 from derjax import SceneFile, build, load_scene, positions
-from derjax.errors import InputError
-from derjax.fields import TIME_UNITS
-from derjax.motortable import covers
-from derjax.scenefile import check, read_toml
-from derjax.timing import time_grid
+from derjax.core.errors import InputError
+from derjax.io.fields import TIME_UNITS
+from derjax.scenes.file import check, read_toml
+from derjax.scenes.motortable import covers
+from derjax.scenes.timing import time_grid
 
 from .datasetfile import ANGLE_UNITS, LENGTH_UNITS, DatasetFile, RunFile
 from .observe import ANGLE, CHANNELS

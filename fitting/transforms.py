@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from derjax.scenefile import InputError
+from derjax.scenes.file import InputError
 
 
 class Transform(Protocol):

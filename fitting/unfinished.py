@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from derjax import InputError
-from derjax.files import atomic_path
-from derjax.output import Output
+from derjax.io.files import atomic_path
+from derjax.io.output import Output
 
 from .tracks import Dataset
 

@@ -38,12 +38,13 @@ import numpy as np
 import pandas as pd
 from IPython.display import display
 
-from derjax import SceneFile, angles, build, load_scene, plots, positions, roll_frames, summary
-from derjax.potential import gather
-from derjax.runtime import enable_compilation_cache
+from derjax import SceneFile, angles, build, load_scene, positions, roll_frames
+from derjax.core.runtime import enable_compilation_cache
+from derjax.results import plots, summary
+from derjax.results.dataset import to_dataset
+from derjax.solve.potential import gather
 from derjax.terms import Stage
 from derjax.terms.term import contributions
-from derjax.trajectory import to_dataset
 from fitting import calibrate, load_dataset
 from fitting.report import figure as fit_figure
 from fitting.report import table as fit_table

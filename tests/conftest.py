@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import pytest
 
-from derjax.runtime import use_one_blas_thread
+from derjax.core.runtime import use_one_blas_thread
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from derjax import Rod, Scene, State, Topology, at_rest, chain
-from derjax.newton import NewtonInfo
-from derjax.potential import Potential, gather
-from derjax.pytree import pytree, replace
-from derjax.rod import carry_frames
-from derjax.step import predict
+from derjax.core.pytree import pytree, replace
+from derjax.integrate.step import predict
+from derjax.rods.rod import carry_frames
+from derjax.solve.newton import NewtonInfo
+from derjax.solve.potential import Potential, gather
 from derjax.terms import Bend, Gravity, Stage, Stretch, Term, Twist
 from derjax.terms.term import contributions
 

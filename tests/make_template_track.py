@@ -1,4 +1,4 @@
-"""Makes derjax/templates/track.csv: run it again when the physics has changed."""
+"""Makes derjax/scenes/templates/track.csv: run it again when the physics has changed."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ import numpy as np
 
 import derjax
 
-TEMPLATES = Path(derjax.__file__).parent / "templates"
+TEMPLATES = Path(derjax.__file__).parent / "scenes" / "templates"
 TRUTH = {"C_t": 4.0, "C_r": 0.45}
 NOISE_MM, NOISE_RAD = 0.1, 0.02
 

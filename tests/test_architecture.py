@@ -10,29 +10,27 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 DERJAX = ROOT / "derjax"
-TERMS = DERJAX / "terms"
 MODULES = sorted(DERJAX.rglob("*.py"))
-TERM_MODULES = sorted(p for p in TERMS.glob("*.py") if p.stem not in ("__init__", "term"))
 
-RIGHT_OF_TERMS = {
-    "cli",
-    "commands",
-    "control",
-    "fitting",
-    "newton",
-    "plots",
-    "recording",
-    "shapes",
-    "frames",
-    "scene",
-    "scenefile",
-    "schemes",
-    "simulation",
-    "step",
-    "summary",
-    "trajectory",
-}
-"""What is made of terms, and so must not be known to them."""
+FLOORS = (
+    ("core",),
+    ("io",),
+    ("rods",),
+    ("shapes", "solve"),
+    ("terms",),
+    ("integrate",),
+    ("scenes",),
+    ("results",),
+    ("runs",),
+    ("commands",),
+)
+"""The folders of derjax from the ground up: what it is, how it is solved, what acts, how time goes,
+how it is described, what comes out, who runs it."""
+
+RANKS = {folder: rank for rank, folders in enumerate(FLOORS) for folder in folders}
+
+ENTRANCES = {"__init__", "__main__", "robots"}
+"""Modules that stand in no folder."""
 
 CALLBACKS = ("debug", "debug_callback", "pure_callback", "io_callback", "error_if", "host_callback")
 """Calls of the host from compiled code, which keep it out of the persistent cache."""
@@ -61,29 +59,40 @@ def imports(path: Path) -> Iterator[str]:
             yield from (f"{stem}.{alias.name}" for alias in node.names)
 
 
-def layers(path: Path) -> set[str]:
-    """The modules of derjax that a module imports, by the first name below `derjax`."""
+def folder_of(path: Path) -> str | None:
+    """The folder of derjax in which a module stands; None for the entrances."""
+    parts = path.relative_to(DERJAX).parts
+    return parts[0] if len(parts) > 1 else None
+
+
+def folders(path: Path) -> set[str]:
+    """The folders of derjax from which a module imports, or modules that stand in none."""
     parts = [name.split(".") for name in imports(path)]
     return {p[1] for p in parts if p[0] == "derjax" and len(p) > 1}
 
 
 def test_relative_imports_are_resolved():
     """The tests below would pass for want of names if the resolution were wrong."""
-    assert "derjax.potential.Elements" in set(imports(TERMS / "bend.py"))
-    assert "derjax.terms.term.Stage" in set(imports(TERMS / "bend.py"))
-    assert {"rod", "newton", "terms"} <= layers(DERJAX / "scene.py")
-    assert TERM_MODULES
+    bend = set(imports(DERJAX / "terms" / "elastic" / "bend.py"))
+    assert {"derjax.solve.potential.Elements", "derjax.terms.term.Stage"} <= bend
+    assert {"rods", "solve", "terms"} <= folders(DERJAX / "scenes" / "build.py")
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_modules_import_only_from_floors_below_their_own(path):
+    folder = folder_of(path)
+    if folder is None:
+        assert path.stem in ENTRANCES, "a module that stands in no folder"
+        return
+    assert folder in RANKS, "a folder without a floor"
+    above = {other for other in folders(path) if other != folder} - {"__version__"}
+    wrong = {other for other in above if RANKS.get(other, len(FLOORS)) >= RANKS[folder]}
+    assert not wrong, f"{name_of(path)} imports from {', '.join(sorted(wrong))}"
 
 
 @pytest.mark.parametrize("path", MODULES, ids=name_of)
 def test_derjax_does_not_know_fitting(path):
     assert not [name for name in imports(path) if name.split(".")[0] == "fitting"]
-
-
-@pytest.mark.parametrize("path", TERM_MODULES, ids=name_of)
-def test_terms_import_only_what_they_are_made_of(path):
-    assert not layers(path) & RIGHT_OF_TERMS
-    assert not any(name.split(".")[0] == "fitting" for name in imports(path))
 
 
 def test_modules_of_derjax_do_not_import_each_other_in_a_circle():
@@ -114,28 +123,29 @@ def test_compiled_code_does_not_call_the_host(path):
     assert not used & set(CALLBACKS)
 
 
-@pytest.mark.parametrize("path", TERM_MODULES, ids=name_of)
-def test_every_term_says_what_it_is(path):
+TERM_CLASSES = sorted(
+    (node.name, path)
+    for path in (DERJAX / "terms").rglob("*.py")
+    for node in tree_of(path).body
+    if isinstance(node, ast.ClassDef)
+    and any(isinstance(base, ast.Name) and base.id == "Term" for base in node.bases)
+)
+
+
+@pytest.mark.parametrize(("name", "path"), TERM_CLASSES, ids=[name for name, _ in TERM_CLASSES])
+def test_every_term_has_a_file_and_is_in_the_registry(name, path):
+    """`build.py` makes every term that a scene file may ask for."""
     assert ast.get_docstring(tree_of(path)), "the module has no docstring"
-
-
-@pytest.mark.parametrize("path", TERM_MODULES, ids=name_of)
-def test_every_term_is_in_the_registry(path):
-    """`scene.py` imports each module of a term, and makes the term that it defines."""
-    classes = [node for node in tree_of(path).body if isinstance(node, ast.ClassDef)]
-    methods = {c.name: [f for f in c.body if isinstance(f, ast.FunctionDef)] for c in classes}
-    terms = {name for name, own in methods.items() if "contribution" in {f.name for f in own}}
-    assert terms, f"{name_of(path)} defines no term: it belongs somewhere else"
-    registry = tree_of(DERJAX / "scene.py")
+    assert [n for n, other in TERM_CLASSES if other == path] == [name], "several in one file"
+    if name == "Energy":  # for Python: a file cannot hold a function
+        return
+    registry = tree_of(DERJAX / "scenes" / "build.py")
     calls = {
         node.func.id
         for node in ast.walk(registry)
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
     }
-    imported = {
-        name.removeprefix(f"derjax.terms.{path.stem}.") for name in imports(DERJAX / "scene.py")
-    }
-    assert terms <= imported & calls
+    assert name in calls
 
 
 def test_the_version_is_the_same_everywhere():

@@ -11,18 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from derjax import (
-    RolloutStats,
-    Scene,
-    SceneFile,
-    State,
-    Status,
-    batch,
-    build,
-    march_frames,
-    roll_frames,
-)
-from derjax.batch import (
+from derjax import RolloutStats, Scene, SceneFile, State, Status, build, march_frames, roll_frames
+from derjax.core.pytree import replace
+from derjax.runs import batch
+from derjax.runs.batch import (
     ALL,
     advance,
     build_many,
@@ -34,7 +26,6 @@ from derjax.batch import (
     spread,
     stack,
 )
-from derjax.pytree import replace
 
 FILE = SceneFile.model_validate(
     {

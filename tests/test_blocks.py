@@ -9,17 +9,17 @@ import pytest
 from helpers import finite_difference_jvp, perturbed, share, stage_from
 
 from derjax import Scene, SceneFile, State, build, march_frames, positions, roll_frames
-from derjax import neighbours as neighbourhood
-from derjax.blocks import Layout, multiply
-from derjax.frames import new_report
-from derjax.potential import Mobility, gather
-from derjax.pytree import Indices, replace
-from derjax.saddle import Saddle, no_drag
-from derjax.status import Status
-from derjax.step import predict
+from derjax.core.pytree import Indices, replace
+from derjax.core.status import Status
+from derjax.integrate.frames import new_stats
+from derjax.integrate.step import predict
+from derjax.solve.blocks import Layout, multiply
+from derjax.solve.potential import Mobility, gather
+from derjax.solve.saddle import Saddle, no_drag
 from derjax.terms import StokesletSegments
-from derjax.terms.block_stokeslets import BlockStokeslets, block_mobility
-from derjax.terms.stokeslets import mobility
+from derjax.terms.contact import neighbours as neighbourhood
+from derjax.terms.fluid.block_stokeslets import BlockStokeslets, block_mobility
+from derjax.terms.fluid.stokeslets import mobility
 from derjax.terms.term import contributions
 
 BLOCK = 4
@@ -205,7 +205,7 @@ run = jax.jit(march_frames, static_argnums=(2, 3))
 @every_robot
 def test_runs_agree_with_those_of_one_dense_matrix(name):
     dense, scene, state = both(name)
-    (expected, _), (found, report) = (run(s, state, 1, 8, new_report()) for s in (dense, scene))
+    (expected, _), (found, report) = (run(s, state, 1, 8, new_stats()) for s in (dense, scene))
     report.raise_if_failed()
     n = 3 * scene.rod.topology.n_nodes
     moved = np.abs(expected.q[0] - state.q)[:n].max()
@@ -216,7 +216,7 @@ def test_without_stokeslets_blocks_and_matrix_agree_to_the_tolerance():
     """Resistive drag, a scene with contacts: nothing is left out."""
     tables = {"fluid": {"hydrodynamics": "rft"}, "contact": {"method": "smooth"}}
     dense, scene, state = both("clamped", **tables)
-    (expected, _), (found, report) = (run(s, state, 1, 8, new_report()) for s in (dense, scene))
+    (expected, _), (found, report) = (run(s, state, 1, 8, new_stats()) for s in (dense, scene))
     report.raise_if_failed()
     np.testing.assert_allclose(found.q, expected.q, atol=1e-8)
 
@@ -260,7 +260,7 @@ def test_memory_grows_with_the_number_of_nodes_and_no_faster():
         )
         scene = build(file)
         state = scene.start
-        compiled = run.lower(scene, state, 1, 1, new_report()).compile()
+        compiled = run.lower(scene, state, 1, 1, new_stats()).compile()
         sizes.append(compiled.memory_analysis().temp_size_in_bytes)
     assert np.log(sizes[1] / sizes[0]) / np.log(4) < 1.2
 

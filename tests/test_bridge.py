@@ -94,7 +94,7 @@ def test_replace_may_be_traced():
 
 def test_replace_refuses_what_it_would_lose():
     head = SCENE[dj.HeadDrag]
-    terms = [head if t is not head else jax.tree.map(lambda x: 2.0 * x, t) for t in SCENE.terms]
+    terms = [t if t is not head else jax.tree.map(lambda x: 2.0 * x, t) for t in SCENE.terms]
     changed = dj.Scene(**{**vars(SCENE), "terms": tuple(terms)})
     with pytest.raises(ValueError, match=r"numbers of HeadDrag"):
         changed.replace(pitch=0.05)

@@ -17,9 +17,9 @@ from benchmarks.buckling import (
     robot,
     simulate,
 )
-from derjax.frames import new_report
-from derjax.pytree import replace
-from derjax.status import Status
+from derjax.core.pytree import replace
+from derjax.core.status import Status
+from derjax.integrate.frames import new_stats
 
 NAN = math.nan
 
@@ -52,14 +52,14 @@ def test_a_bracket_is_halved_as_often_as_asked():
 
 def test_the_window_leaves_out_the_start():
     time = np.linspace(0.0, 60.0, 601)
-    found = measure(Length(time, np.where(time < 40.0, 5.0, 0.9), new_report()))
+    found = measure(Length(time, np.where(time < 40.0, 5.0, 0.9), new_stats()))
     assert found.min == found.max == 0.9
     assert found.mean == pytest.approx(0.9)
     assert found.status == "ok"
 
 
 def test_a_failed_run_has_a_message_and_no_numbers():
-    failed = replace(new_report(), status=jnp.array(int(Status.LINE_SEARCH)))
+    failed = replace(new_stats(), status=jnp.array(int(Status.LINE_SEARCH)))
     found = measure(Length(np.zeros(1), np.ones(1), failed))
     assert math.isnan(found.mean)
     assert "line search" in found.status

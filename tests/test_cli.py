@@ -12,9 +12,10 @@ import jax
 import pytest
 import xarray as xr
 
-from derjax import runtime, simulation
-from derjax.cli import main
-from derjax.progress import Progress
+from derjax.commands.main import main
+from derjax.core import runtime
+from derjax.runs import simulation
+from derjax.runs.progress import Progress
 
 SCENE = """
 [robot]
@@ -224,7 +225,7 @@ def full_disk(monkeypatch: pytest.MonkeyPatch, *suffixes: str, times: int = 1000
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         replace(old, new)
 
-    monkeypatch.setattr("derjax.files.os.replace", refuse)
+    monkeypatch.setattr("derjax.io.files.os.replace", refuse)
 
 
 def test_a_full_disk_does_not_stop_a_run(scene, finished, monkeypatch, capsys):

@@ -14,15 +14,24 @@ import pytest
 from helpers import advance, elasticity, expand, held_dofs, order, potential, rest, rotation, share
 
 from derjax import Scene, State, Topology, positions, roll_frames
-from derjax.neighbours import Neighbours, pairs_apart, search
-from derjax.newton import NewtonSettings
-from derjax.potential import Pairs, gather
-from derjax.pytree import replace
-from derjax.schemes.euler import euler
-from derjax.segments import distance
-from derjax.status import Status
+from derjax.core.pytree import replace
+from derjax.core.status import Status
+from derjax.integrate.schemes.euler import euler
+from derjax.solve.newton import NewtonSettings
+from derjax.solve.potential import Pairs, gather
 from derjax.terms import Gravity, Inertia, Term
-from derjax.terms.contact import RAMP, SOFTNESS, Contact, Repulsion, Touch, energy, force, meeting
+from derjax.terms.contact.neighbours import Neighbours, pairs_apart, search
+from derjax.terms.contact.repulsion import (
+    RAMP,
+    SOFTNESS,
+    Contact,
+    Repulsion,
+    Touch,
+    energy,
+    force,
+    meeting,
+)
+from derjax.terms.contact.segments import distance
 
 N = 5
 DIAMETER = 0.1

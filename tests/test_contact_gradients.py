@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 
 import derjax
-from derjax.kinematics import head_position
-from derjax.scenefile import SceneFile
-from derjax.segments import distance
-from derjax.terms.contact import Contact
+from derjax.results.head import head_position
+from derjax.scenes.file import SceneFile
+from derjax.terms.contact.repulsion import Contact
+from derjax.terms.contact.segments import distance
 
 NAMES = ("C_t", "C_r", "friction", "contact_stiffness", "pitch")
 DIFFERENCES = (1e-5, 1e-5, 1e-5, 1e-3, 1e-5)

@@ -14,9 +14,13 @@ import pytest
 from helpers import finite_difference_jvp
 
 from derjax import SceneFile, build
-from derjax.blocks import Layout
-from derjax.krylov import gmres
-from derjax.potential import (
+from derjax.core.pytree import Indices, pytree, replace
+from derjax.core.status import Status
+from derjax.integrate.step import Scene
+from derjax.rods.rod import Rod, State
+from derjax.solve.blocks import Layout
+from derjax.solve.gmres import gmres
+from derjax.solve.potential import (
     Autodiff,
     Contribution,
     Diagonal,
@@ -28,12 +32,8 @@ from derjax.potential import (
     Pairs,
     Quadratic,
 )
-from derjax.pytree import Indices, pytree, replace
-from derjax.rod import Rod, State
-from derjax.status import Status
-from derjax.step import Scene
 from derjax.terms import Lagged, SpillmannTeschner, Stage, Term
-from derjax.terms.block_stokeslets import BlockStokeslets
+from derjax.terms.fluid.block_stokeslets import BlockStokeslets
 
 BLOCK = 4
 KINDS = ("Elements", "Pairs", "Quadratic", "Diagonal", "Load", "Chain")

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from derjax import build
-from derjax.defaults import REGULARIZATION, SLIP
-from derjax.scenefile import InputError, SceneFile, load_scene
-from derjax.step import Scene
+from derjax.integrate.step import Scene
+from derjax.scenes.defaults import REGULARIZATION, SLIP
+from derjax.scenes.file import InputError, SceneFile, load_scene
 from derjax.terms import Contact, Friction, StokesletSegments
 
 COARSE = {"edge_length": 0.03}

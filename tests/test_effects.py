@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from derjax import InputError, SceneFile, build, cli, load_scene
-from derjax.effects import IDLE, idle_keys
-from derjax.errors import InputWarning
-from derjax.messages import checked
-from derjax.pytree import replace
-from derjax.sweeps.file import load_sweep
+from derjax import InputError, SceneFile, build, load_scene
+from derjax.commands import main as cli
+from derjax.core.errors import InputWarning
+from derjax.core.pytree import replace
+from derjax.runs.sweeps.file import load_sweep
+from derjax.scenes.effects import IDLE, idle_keys
+from derjax.scenes.messages import checked
 
 TINY = {"edge_length": 0.03}
 STEPS = {"step": 0.02, "end": 0.2}
@@ -141,7 +142,7 @@ def made_of(content: dict[str, Any]) -> tuple[Any, list[np.ndarray]]:
     with jax.disable_jit():  # quicker than to compile so many
         scene = build(file)
         state = scene.start
-    leaves, structure = jax.tree.flatten((replace(scene, parameters={}), state))
+    leaves, structure = jax.tree.flatten((replace(scene, parameters={}, source=None), state))
     return (structure, file.grid), [np.asarray(leaf) for leaf in leaves]
 
 
@@ -244,7 +245,7 @@ def test_other_tables_are_named():
 def test_what_the_command_new_writes_warns_of_nothing():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        load_scene(Path(cli.__file__).parent / "templates" / "scene.toml")
+        load_scene(Path(cli.__file__).parents[1] / "scenes" / "templates" / "scene.toml")
 
 
 def test_the_command_line_says_it_once(tmp_path, capsys, monkeypatch):

@@ -26,17 +26,11 @@ from scipy.linalg import null_space
 from scipy.optimize import brentq
 
 from derjax import Rod, Scene, State, Topology, chain, positions
-from derjax.newton import NewtonSettings
-from derjax.pytree import replace
-from derjax.rod import (
-    angles,
-    curvature,
-    hinge_tangents,
-    material_directors,
-    tangents,
-)
-from derjax.schemes.euler import euler
+from derjax.core.pytree import replace
+from derjax.integrate.schemes.euler import euler
+from derjax.rods.rod import angles, curvature, hinge_tangents, material_directors, tangents
 from derjax.shapes import helix
+from derjax.solve.newton import NewtonSettings
 from derjax.terms import Gravity
 
 SIZES = (12, 24)

@@ -9,14 +9,14 @@ import pytest
 from helpers import advance, at_speed, elasticity, held_dofs, rest, rotation, share
 
 from derjax import Scene, State, Topology, positions, roll_frames
-from derjax.newton import NewtonSettings
-from derjax.pytree import Indices, replace
-from derjax.rod import tangents
-from derjax.schemes.euler import euler
-from derjax.status import Status
+from derjax.core.pytree import Indices, replace
+from derjax.core.status import Status
+from derjax.integrate.schemes.euler import euler
+from derjax.rods.rod import tangents
+from derjax.solve.newton import NewtonSettings
 from derjax.terms import Contact, Friction, Gravity, Inertia, Stretch
-from derjax.terms.contact import RAMP, SOFTNESS
-from derjax.terms.friction import Rubbing, Sliding, slip
+from derjax.terms.contact.friction import Rubbing, Sliding, slip
+from derjax.terms.contact.repulsion import RAMP, SOFTNESS
 
 # One pair -------------------------------------------------------------------------------------
 

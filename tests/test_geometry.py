@@ -6,15 +6,7 @@ import numpy as np
 import pytest
 from helpers import finite_difference_jvp, rotation
 
-from derjax.geometry import (
-    any_normal,
-    cross,
-    dot,
-    norm,
-    parallel_transport,
-    signed_angle,
-    unit,
-)
+from derjax.rods.vectors import any_normal, cross, dot, norm, parallel_transport, signed_angle, unit
 
 ROUND_OFF = 1e-14
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import derjax
-from derjax.scenefile import SceneFile
-from derjax.schemes.euler import euler
+from derjax.integrate.schemes.euler import euler
+from derjax.scenes.file import SceneFile
 
 NAMES = ("C_t", "C_r", "viscosity", "youngs_modulus", "pitch", "helix_radius")
 N_FRAMES, STEPS = 10, 20
@@ -62,7 +62,7 @@ def test_viscosity_and_modulus_only_set_the_time_scale(forward):
 
 def spring(weights: jax.Array) -> jax.Array:
     """Tip position (m) of a short rod after three viscous steps under `weights` times gravity."""
-    from derjax.newton import NewtonSettings
+    from derjax.solve.newton import NewtonSettings
     from derjax.terms import Gravity, ResistiveDrag, Stretch
 
     topology = derjax.chain(4, filaments=((0, 1, 2, 3),), clamped=(0, 1, 2, 9, 10, 11))

@@ -9,7 +9,7 @@ import pytest
 from helpers import share
 
 from derjax import Scene, SceneFile, State, build, march_frames, positions
-from derjax.status import Status
+from derjax.core.status import Status
 from derjax.terms import Gravity, HeadDrag, Inertia, ResistiveDrag
 
 G = 9.81

@@ -9,10 +9,10 @@ import pytest
 from helpers import carry, elasticity, perturbed, potential, rest, rotation, share
 
 from derjax import State, Topology, angles, chain, positions
-from derjax.potential import gather
-from derjax.pytree import replace
-from derjax.rod import tangents
+from derjax.core.pytree import replace
+from derjax.rods.rod import tangents
 from derjax.shapes import helix, helix_contour, single_flagellum
+from derjax.solve.potential import gather
 from derjax.terms import (
     Gravity,
     HeadDrag,

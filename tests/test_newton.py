@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from derjax.newton import NewtonSettings, equilibrium
-from derjax.potential import Autodiff, Elements, gather
-from derjax.pytree import Indices
-from derjax.status import Status
+from derjax.core.pytree import Indices
+from derjax.core.status import Status
+from derjax.solve.newton import NewtonSettings, equilibrium
+from derjax.solve.potential import Autodiff, Elements, gather
 
 PAIR = Indices(np.array([[0, 1]]))
 

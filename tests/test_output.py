@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from derjax.errors import InputError
-from derjax.files import WriteError, atomic_path, make_room, writable_directory
-from derjax.locking import LOCK, locked
-from derjax.output import output_directory
+from derjax.core.errors import InputError
+from derjax.io.files import WriteError, atomic_path, make_room, writable_directory
+from derjax.io.locking import LOCK, locked
+from derjax.io.output import output_directory
 
 
 def no_space(*_: object, **__: object) -> None:

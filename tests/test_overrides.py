@@ -10,15 +10,15 @@ import pytest
 import xarray as xr
 
 from derjax import InputError, Scene, SceneFile, State, build, march_frames
-from derjax.batch import build_many, pick
-from derjax.parameters import PLACES
-from derjax.pytree import replace
-from derjax.scene import build_unchecked
-from derjax.scenefile import MotorTable
-from derjax.shape import touching_pairs
-from derjax.summary import summarise
+from derjax.core.pytree import replace
+from derjax.results.dataset import to_dataset, write
+from derjax.results.summary import summarise
+from derjax.runs.batch import build_many, pick
+from derjax.scenes.build import build_unchecked
+from derjax.scenes.file import MotorTable
+from derjax.scenes.parameters import PLACES
+from derjax.scenes.shape import touching_pairs
 from derjax.terms import Contact, HeadDrag
-from derjax.trajectory import to_dataset, write
 
 SCENES: dict[str, dict[str, Any]] = {
     "single": {"robot": {"edge_length": 0.03}, "time": {"step": 0.02, "end": 0.08}},

@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from derjax.plausibility import USUAL_LENGTHS
-from derjax.scenefile import InputError, SceneFile, check
+from derjax.scenes.file import InputError, SceneFile, check
+from derjax.scenes.plausibility import USUAL_LENGTHS
 
 IN_MM = {key: 1e3 * value for key, value in USUAL_LENGTHS.items()}
 

@@ -14,7 +14,7 @@ import pytest
 from helpers import advance
 
 from derjax import Scene, SceneFile, State, build, roll_frames
-from derjax.pytree import replace
+from derjax.core.pytree import replace
 from derjax.terms import (
     Bend,
     Contact,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from derjax.cli import main
+from derjax.commands.main import main
 
 ROOT = Path(__file__).parents[1]
 TRUTH = {"C_t": 4.8, "C_r": 0.36}

@@ -11,8 +11,10 @@ import pytest
 import xarray as xr
 from PIL import Image
 
-from derjax import InputError, animation, trajectory
-from derjax.cli import main
+from derjax import InputError
+from derjax.commands.main import main
+from derjax.results import animation
+from derjax.results import dataset as trajectory
 
 N_FRAMES, N_NODES, SPACING = 12, 9, 0.1
 HELICES = tuple(tuple(range(k, k + N_NODES)) for k in (1, 1 + N_NODES))

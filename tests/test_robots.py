@@ -11,7 +11,8 @@ import pytest
 from helpers import potential, rotation
 
 from derjax import InputError, Scene, SceneFile, State, Topology, build, load_scene, positions
-from derjax.kinematics import (
+from derjax.core.pytree import replace
+from derjax.results.head import (
     head_angle,
     head_angular_velocity,
     head_axis,
@@ -19,7 +20,6 @@ from derjax.kinematics import (
     head_position,
     head_spin,
 )
-from derjax.pytree import replace
 from derjax.shapes import (
     Body,
     arc,

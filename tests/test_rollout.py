@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import derjax
-from derjax.frames import new_report
-from derjax.newton import NewtonSettings
-from derjax.pytree import replace
-from derjax.scenefile import SceneFile
-from derjax.schemes.euler import euler
+from derjax.core.pytree import replace
+from derjax.integrate.frames import new_stats
+from derjax.integrate.schemes.euler import euler
+from derjax.scenes.file import SceneFile
+from derjax.solve.newton import NewtonSettings
 from derjax.terms import Gravity, ResistiveDrag, Stretch
 
 _rollout = jax.jit(derjax.roll_frames, static_argnums=(2, 3))
@@ -119,7 +119,7 @@ def test_non_finite_numbers_are_told():
 def test_a_rollout_does_not_touch_what_has_failed():
     scene = derjax.build(SWIMMER)
     start = scene.start
-    failed = replace(new_report(), status=jnp.array(2, jnp.int32), failed_at=jnp.array(1.0))
+    failed = replace(new_stats(), status=jnp.array(2, jnp.int32), failed_at=jnp.array(1.0))
     states, report = _rollout(scene, start, 8, 1, failed)
     np.testing.assert_array_equal(states.q[-1], start.q)
     assert float(report.failed_at) == 1.0

@@ -9,9 +9,9 @@ import pytest
 
 import derjax
 from derjax import SceneFile, build, positions
-from derjax.plausibility import USUAL_LENGTHS
-from derjax.summary import summarise
-from derjax.trajectory import to_dataset
+from derjax.results.dataset import to_dataset
+from derjax.results.summary import summarise
+from derjax.scenes.plausibility import USUAL_LENGTHS
 
 rollout = jax.jit(derjax.roll_frames, static_argnums=(2, 3))
 

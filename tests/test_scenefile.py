@@ -11,8 +11,8 @@ from pydantic import Field
 
 from derjax import build
 from derjax.commands.new import template
-from derjax.fields import Finite, Table
-from derjax.scenefile import UNITS, InputError, SceneFile, check, load_scene
+from derjax.io.fields import Finite, Table
+from derjax.scenes.file import UNITS, InputError, SceneFile, check, load_scene
 
 TABLES = [name for name, field in SceneFile.model_fields.items() if not field.exclude]
 

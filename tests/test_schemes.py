@@ -19,19 +19,19 @@ from derjax import (
     at_rest,
     build,
     chain,
-    kinematics,
     march_frames,
     positions,
     roll_frames,
 )
-from derjax.control import Control
-from derjax.frames import new_stats
-from derjax.newton import NewtonSettings
-from derjax.potential import Contribution, Diagonal
-from derjax.pytree import pytree, replace
-from derjax.rod import Rod
-from derjax.schemes.euler import euler
-from derjax.schemes.trbdf2 import D, trbdf2
+from derjax.core.pytree import pytree, replace
+from derjax.integrate.frames import new_stats
+from derjax.integrate.schemes.euler import euler
+from derjax.integrate.schemes.trbdf2 import D, trbdf2
+from derjax.integrate.step_size import Control
+from derjax.results import head as kinematics
+from derjax.rods.rod import Rod
+from derjax.solve.newton import NewtonSettings
+from derjax.solve.potential import Contribution, Diagonal
 from derjax.terms import Inertia, Stage, Term
 
 N_DOFS = 11

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from helpers import finite_difference_jvp, rotation
 
-from derjax.segments import Near, between, closest, distance, near
+from derjax.terms.contact.segments import Near, between, closest, distance, near
 
 SOFTNESS = 0.01
 N = 10_000

@@ -14,20 +14,14 @@ import pytest
 from helpers import acting, potential, rotation
 
 from derjax import RolloutStats, Scene, SceneFile, State, angles, build, positions, roll_frames
-from derjax.geometry import parallel_transport, signed_angle
-from derjax.kinematics import (
-    head_angular_velocity,
-    head_axis,
-    head_of,
-    head_position,
-    head_spin,
-)
-from derjax.neighbours import PENETRATION
-from derjax.pytree import replace
-from derjax.rod import material_directors, tangents
-from derjax.segments import distance
+from derjax.core.pytree import replace
+from derjax.results.head import head_angular_velocity, head_axis, head_of, head_position, head_spin
+from derjax.rods.rod import material_directors, tangents
+from derjax.rods.vectors import parallel_transport, signed_angle
 from derjax.terms import HeadDrag, StokesletSegments
-from derjax.terms.contact import Contact
+from derjax.terms.contact.neighbours import PENETRATION
+from derjax.terms.contact.repulsion import Contact
+from derjax.terms.contact.segments import distance
 
 RPM = 60.0
 RATE = RPM * 2 * np.pi / 60

@@ -7,13 +7,13 @@ import pytest
 from helpers import advance, rest
 
 from derjax import Scene, State, Topology, positions
-from derjax.newton import NewtonSettings
-from derjax.pytree import Indices, replace
-from derjax.schemes.corrected import corrected
-from derjax.schemes.euler import euler
-from derjax.segments import distance
-from derjax.status import Status
+from derjax.core.pytree import Indices, replace
+from derjax.core.status import Status
+from derjax.integrate.schemes.contact_corrected import corrected
+from derjax.integrate.schemes.euler import euler
+from derjax.solve.newton import NewtonSettings
 from derjax.terms import Gravity, Inertia, SpillmannTeschner, Stretch
+from derjax.terms.contact.segments import distance
 
 DIAMETER = 0.1
 RODS = Topology(4, ((0, 1), (2, 3)), ())

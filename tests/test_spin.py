@@ -11,10 +11,10 @@ from helpers import advance, finite_difference_jvp, share
 
 import derjax
 from derjax import SceneFile, State, angles, build, positions
-from derjax.pytree import replace
-from derjax.rod import carry_frames
-from derjax.scenefile import InputError, load_scene
-from derjax.step import Scene
+from derjax.core.pytree import replace
+from derjax.integrate.step import Scene
+from derjax.rods.rod import carry_frames
+from derjax.scenes.file import InputError, load_scene
 from derjax.terms import SpinDrag
 
 rollout = jax.jit(derjax.roll_frames, static_argnums=(2, 3))

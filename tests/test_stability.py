@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from derjax import RolloutStats, Scene, SceneFile, State, Status, build
-from derjax.frames import march_frames
-from derjax.pytree import replace
-from derjax.scene import build_unchecked
-from derjax.scenefile import MotorTable
+from derjax.core.pytree import replace
+from derjax.integrate.frames import march_frames
+from derjax.scenes.build import build_unchecked
+from derjax.scenes.file import MotorTable
 
 TINY = SceneFile.model_validate({"robot": {"edge_length": 0.03}})
 DRIVEN = TINY.model_copy(

@@ -10,12 +10,12 @@ import pytest
 from helpers import elasticity, order, rest
 
 from derjax import Scene, SceneFile, State, build, chain, positions, roll_frames
-from derjax.newton import NewtonSettings
-from derjax.potential import Diagonal, Load
-from derjax.pytree import pytree, replace
-from derjax.rod import Rod
-from derjax.schemes.euler import euler
-from derjax.schemes.trbdf2 import trbdf2
+from derjax.core.pytree import pytree, replace
+from derjax.integrate.schemes.euler import euler
+from derjax.integrate.schemes.trbdf2 import trbdf2
+from derjax.rods.rod import Rod
+from derjax.solve.newton import NewtonSettings
+from derjax.solve.potential import Diagonal, Load
 from derjax.terms import ResistiveDrag, SpinDrag, Stage, Term
 
 run = jax.jit(roll_frames, static_argnums=(2, 3))

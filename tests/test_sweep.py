@@ -14,14 +14,16 @@ import jax
 import pytest
 import xarray as xr
 
-from derjax import batch, march_frames
-from derjax.cli import main
-from derjax.scenefile import UNITS, InputError, SceneFile
-from derjax.sweeps import farm, points
-from derjax.sweeps import sweep as sweeps
-from derjax.sweeps.figure import figure
-from derjax.sweeps.file import PLACES, _fields, load_sweep
-from derjax.sweeps.points import Chunk, compute
+from derjax import march_frames
+from derjax.commands.main import main
+from derjax.runs import batch
+from derjax.runs.sweeps import dask as farm
+from derjax.runs.sweeps import points
+from derjax.runs.sweeps import sweep as sweeps
+from derjax.runs.sweeps.figure import figure
+from derjax.runs.sweeps.file import PLACES, _fields, load_sweep
+from derjax.runs.sweeps.points import Chunk, compute
+from derjax.scenes.file import UNITS, InputError, SceneFile
 
 SCENE = """
 [robot]
@@ -406,9 +408,9 @@ def test_a_lost_worker_is_replaced(directory, finished):
     program = f"""
 import os, sys
 from pathlib import Path
-from derjax.sweeps import farm
-from derjax.cli import main
-from derjax.sweeps.points import compute_surely
+from derjax.runs.sweeps import dask as farm
+from derjax.commands.main import main
+from derjax.runs.sweeps.points import compute_surely
 
 def fatal(chunk):
     mark = Path({str(directory / "killed")!r})

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from derjax import batch
-from derjax.cli import main
-from derjax.sweeps import sweep as sweeps
+from derjax.commands.main import main
+from derjax.runs import batch
+from derjax.runs.sweeps import sweep as sweeps
 
 SCENE = """
 [robot]
@@ -68,7 +68,7 @@ def full_disk(monkeypatch: pytest.MonkeyPatch, suffix: str, times: int) -> None:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         replace(old, new)
 
-    monkeypatch.setattr("derjax.files.os.replace", refuse)
+    monkeypatch.setattr("derjax.io.files.os.replace", refuse)
 
 
 def test_a_table_is_tried_again(argv, out, monkeypatch, capsys):

@@ -11,8 +11,8 @@ from helpers import acting, advance, potential
 from benchmarks.rigid import rigid_motions
 from benchmarks.rigid_limit import free_motion
 from derjax import Scene, SceneFile, State, build, positions, roll_frames
-from derjax.pytree import replace
-from derjax.rod import angles
+from derjax.core.pytree import replace
+from derjax.rods.rod import angles
 from derjax.terms import Bend, HeadDrag, StokesletSegments, Twist
 
 RPM = 50.0

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from derjax.errors import InputError
-from derjax.tables import normalised, read_table
+from derjax.core.errors import InputError
+from derjax.io.tables import normalised, read_table
 
 NUMBERS = np.array([[0.0, -10.367, 1370.5], [0.5, np.nan, -2.25e-3], [1.0, 7.0, 0.125]])
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from derjax.scenefile import InputError, SceneFile, load_scene
-from derjax.sweeps.points import programs
-from derjax.timing import time_grid, usual_frame
+from derjax.runs.sweeps.points import programs
+from derjax.scenes.file import InputError, SceneFile, load_scene
+from derjax.scenes.timing import time_grid, usual_frame
 
 
 def scene(**tables) -> SceneFile:

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from derjax import SceneFile, State, build, plots, summary, trajectory
-from derjax.files import atomic_path
-from derjax.progress import Progress
-from derjax.pytree import replace
-from derjax.rod import angles, positions
+from derjax import SceneFile, State, build
+from derjax.core.pytree import replace
+from derjax.io.files import atomic_path
+from derjax.results import dataset as trajectory
+from derjax.results import plots, summary
+from derjax.rods.rod import angles, positions
+from derjax.runs.progress import Progress
 
 FILE = SceneFile.model_validate({"robot": {"edge_length": 0.03}, "motor": {"rpm": 90}})
 SPEED, SPIN = -1e-3, -0.3

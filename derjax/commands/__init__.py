@@ -1,1 +1,1 @@
-"""The subcommands of `derjax`, one module each; see `derjax.cli`."""
+"""The subcommands of `derjax`, one module each; see `derjax.commands.main`."""

@@ -4,8 +4,8 @@ import argparse
 from importlib import resources
 from pathlib import Path
 
-from ..errors import InputError
-from ..output import output_directory
+from ..core.errors import InputError
+from ..io.output import output_directory
 
 HELP = "write a commented example scene, motor table and dataset"
 
@@ -53,4 +53,4 @@ def run(args: argparse.Namespace) -> int:
 
 def template(name: str) -> str:
     """The text of one of `FILES`."""
-    return (resources.files("derjax") / "templates" / name).read_text(encoding="utf-8")
+    return (resources.files("derjax") / "scenes" / "templates" / name).read_text(encoding="utf-8")

@@ -4,8 +4,8 @@ import argparse
 import math
 from pathlib import Path
 
-from ..errors import InputError
-from ..output import output_directory
+from ..core.errors import InputError
+from ..io.output import output_directory
 
 HELP = "make a film of a run: GIF, MP4, and a page to turn, zoom and play"
 
@@ -58,8 +58,8 @@ def run(args: argparse.Namespace) -> int:
         InputError: arguments or trajectory are wrong, or a film must not be overwritten;
             nothing has been written.
     """
-    from .. import animation  # slow to import
-    from ..progress import Progress
+    from ..results import animation  # slow to import
+    from ..runs.progress import Progress
 
     source: Path = args.directory
     output: Path = source if args.output is None else args.output
@@ -90,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
                 Progress(film.n_frames, "frames", quiet=args.quiet or name == "html") as progress,
             ):
                 if name == "html":
-                    from ..viewer import write_html  # slow to import
+                    from ..results.viewer import write_html  # slow to import
 
                     write_html(film, temporary)
                 else:

@@ -16,8 +16,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Runs `derjax simulate`; see `derjax.simulation.simulate`."""
-    from ..simulation import Options, simulate  # slow to import
+    """Runs `derjax simulate`; see `derjax.runs.simulation.simulate`."""
+    from ..runs.simulation import Options, simulate  # slow to import
 
     options = Options(
         scene=args.scene,

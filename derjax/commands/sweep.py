@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from ..scenefile import InputError
+from ..scenes.file import InputError
 from .options import add_output, add_quiet
 
 HELP = "simulate a scene at many values of its keys; writes a table and a figure"
@@ -32,15 +32,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Runs `derjax sweep`; see `derjax.sweeps.sweep.sweep`.
+    """Runs `derjax sweep`; see `derjax.runs.sweeps.sweep.sweep`.
 
     Raises:
         InputError: an option cannot be right; nothing has been written.
     """
     if args.workers is not None and args.workers < 1:
         raise InputError(f"--workers {args.workers}: must be at least 1")
-    from ..batch import use_all_processors
-    from ..sweeps.sweep import Options, sweep  # slow to import
+    from ..runs.batch import use_all_processors
+    from ..runs.sweeps.sweep import Options, sweep  # slow to import
 
     if args.workers is None and args.scheduler is None:
         use_all_processors()

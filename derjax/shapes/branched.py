@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..rod import Head, Topology
+from ..rods.rod import Head, Topology
 from .body import Body, Nodes, around, distance_from_axis, mounted
 
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..rod import Topology
+from ..rods.rod import Topology
 from .body import Body, Nodes, around, distance_from_axis, mounted
 
 

@@ -2,7 +2,7 @@
 
 from jaxtyping import Array
 
-from ..rod import Head, chain
+from ..rods.rod import Head, chain
 from .body import Body, Nodes, mounted
 
 

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..rod import Head, chain
+from ..rods.rod import Head, chain
 from .body import Body, Nodes, around, mounted
 
 

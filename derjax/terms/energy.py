@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..potential import Elements, Sum
-from ..pytree import Indices, pytree, static
-from ..rod import Rod, State
+from ..core.pytree import Indices, pytree, static
+from ..rods.rod import Rod, State
+from ..solve.potential import Elements, Sum
 from .term import Stage, Term
 
 

@@ -3,9 +3,9 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..potential import Load
-from ..pytree import pytree
-from ..rod import Rod, State
+from ..core.pytree import pytree
+from ..rods.rod import Rod, State
+from ..solve.potential import Load
 from .term import Stage, Term
 
 

@@ -4,9 +4,9 @@ from typing import ClassVar
 
 from jaxtyping import Array, Float
 
-from ..potential import Diagonal
-from ..pytree import pytree
-from ..rod import Rod, State
+from ..core.pytree import pytree
+from ..rods.rod import Rod, State
+from ..solve.potential import Diagonal
 from .term import Role, Stage, Term
 
 

@@ -8,9 +8,9 @@ from typing import Any, ClassVar, TypeVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..potential import Contribution, Mobility
-from ..pytree import pytree
-from ..rod import Rod, State
+from ..core.pytree import pytree
+from ..rods.rod import Rod, State
+from ..solve.potential import Contribution, Mobility
 
 T = TypeVar("T", bound="Term")
 

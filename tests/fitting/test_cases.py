@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.calibration import NOISE, TRUTH, track
 from derjax import load_scene
-from derjax.cli import main
+from derjax.commands.main import main
 from fitting.observe import interpolation
 
 SCENE = """

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from derjax.cli import main
+from derjax.commands.main import main
 from fitting.calibrate import calibrate
 from fitting.model import Model
 from fitting.simulate import Simulator
@@ -378,7 +378,7 @@ def no_room(error: int, suffix: str):
 
 def test_a_full_disk_does_not_stop_a_fit(path, finished, monkeypatch, capsys) -> None:
     """It goes on and says so once."""
-    monkeypatch.setattr("derjax.files.os.replace", no_room(errno.ENOSPC, ".npz"))
+    monkeypatch.setattr("derjax.io.files.os.replace", no_room(errno.ENOSPC, ".npz"))
     out = path.parent / "out"
     assert main(["fit", str(path), "-o", str(out)]) == 0
     assert numbers(out) == numbers(finished[0] / "out")
@@ -392,7 +392,7 @@ def test_a_full_disk_does_not_stop_a_fit(path, finished, monkeypatch, capsys) ->
 def test_a_result_that_cannot_be_written_is_not_lost(path, finished, monkeypatch, capsys) -> None:
     out = path.parent / "out"
     with monkeypatch.context() as patch:
-        patch.setattr("derjax.files.os.replace", no_room(errno.ENOSPC, ".png"))
+        patch.setattr("derjax.io.files.os.replace", no_room(errno.ENOSPC, ".png"))
         assert main(["fit", str(path), "-o", str(out)]) == 2
     said = capsys.readouterr()
     assert f"{out / 'fit.png'}: cannot be written: No space left on device" in said.err
@@ -422,7 +422,7 @@ def test_a_directory_that_cannot_be_written_to(path, monkeypatch, capsys, nothin
     def read_only(*_, **__) -> None:
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
-    monkeypatch.setattr("derjax.files.os.fsync", read_only)
+    monkeypatch.setattr("derjax.io.files.os.fsync", read_only)
     out = path.parent / "out"
     assert main(["fit", str(path), "-o", str(out)]) == 2
     assert f"{out}: cannot be written to: Read-only file system" in capsys.readouterr().err

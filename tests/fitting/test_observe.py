@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from derjax import SceneFile, build
-from derjax.rod import Head
+from derjax.rods.rod import Head
 from fitting.observe import interpolation, observations
 
 STEP = 0.04
@@ -49,7 +49,8 @@ def test_interpolation_only_needs_the_steps_it_names() -> None:
 
 
 def test_head_node_and_angle_with_whole_turns() -> None:
-    scene, state = build(SceneFile())
+    scene = build(SceneFile())
+    state = scene.start
     topology = replace(scene.rod.topology, head=Head(node=1, line=(1, 0), edges=(0,)))
     q = state.q.at[topology.edge_dofs([0])[0]].set(0.25)
     state = replace(state, q=q, turns=state.turns.at[0].set(-3.0))
@@ -61,6 +62,7 @@ def test_head_node_and_angle_with_whole_turns() -> None:
 
 
 def test_a_robot_without_a_head_cannot_be_tracked() -> None:
-    scene, state = build(SceneFile())
+    scene = build(SceneFile())
+    state = scene.start
     with pytest.raises(ValueError, match="head"):
         observations(replace(scene.rod.topology, head=None), state)

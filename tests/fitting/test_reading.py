@@ -10,7 +10,7 @@ import pytest
 
 from derjax import InputError
 from derjax.commands.new import template
-from derjax.errors import InputWarning
+from derjax.core.errors import InputWarning
 from fitting.datasetfile import Columns, RunFile
 from fitting.tracks import load_dataset
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from derjax.output import output_directory
+from derjax.io.output import output_directory
 from fitting.calibrate import calibrate
 from fitting.report import as_dict, figure, table, write
 

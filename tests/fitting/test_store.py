@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from derjax import Status
-from derjax.errors import WriteWarning
-from derjax.rollout import Report, new_report
+from derjax.core.errors import WriteWarning
+from derjax.integrate.frames import RolloutStats, new_stats
 from fitting.simulate import Simulated
 from fitting.store import ARRAYS, MOST_IN_MEMORY, Store
 
@@ -27,7 +27,7 @@ def simulated(steps: int, seed: int = 0, **report) -> Simulated:
         sensitivity=rng.normal(size=(t, 4, 2)),
         orientation=rng.normal(size=(t, 3, 3)),
         turning=rng.normal(size=(t, 3, 3, 2)),
-        report=replace(new_report(), **report),
+        report=replace(new_stats(), **report),
     )
 
 
@@ -40,7 +40,7 @@ def assert_same(found: list[Simulated] | None, expected: list[Simulated]) -> Non
             assert a.dtype == b.dtype
             assert a.shape == b.shape
             assert a.tobytes() == b.tobytes()
-        for field in fields(Report):
+        for field in fields(RolloutStats):
             a, b = (np.asarray(getattr(x.report, field.name)) for x in (one, other))
             assert a.dtype == b.dtype
             assert a.tobytes() == b.tobytes()

@@ -1,0 +1,1 @@
+"""How time goes: scenes, stages, schemes, steps that adapt, frames."""

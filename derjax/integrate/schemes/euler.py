@@ -1,0 +1,34 @@
+"""Implicit Euler: first order, L-stable, one solve in a step."""
+
+from jaxtyping import Array
+
+from ...rods.rod import State
+from ...terms.term import Stage
+from ..step import (
+    Scene,
+    Step,
+    at_end,
+    expected_move,
+    fluid_velocity,
+    mean_acceleration,
+    predict,
+    solve,
+    turned,
+)
+
+
+def euler(scene: Scene, state: State, length: Array) -> Step:
+    """A step of some length (s), differentiable in forward and reverse mode.
+
+    Drag matrices are taken where the rod is expected in the middle of the step. The error is
+    estimated as h^2/2 d2q/dt2.
+    """
+    turn = turned(scene, state, length)
+    prediction = predict(scene, state, 0.5 * length, length)
+    flow = fluid_velocity(scene, prediction.configuration, state.time + 0.5 * length)
+    stage = Stage(length, state.time + length, state.motor_angle + turn, fluid_velocity=flow)
+    q, info = solve(scene, prediction, state, stage, turn, expected_move(scene, state, length))
+    velocity = (q - state.q) / length
+    acceleration = (velocity - state.velocity) / length
+    error = 0.5 * length**2 * mean_acceleration(state, length, q)
+    return Step(at_end(scene, state, length, q, velocity, acceleration, turn), info, error)

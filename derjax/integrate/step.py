@@ -1,0 +1,377 @@
+"""What every scheme of integration in time is made of: stages of implicit Euler.
+
+In a stage of length l that starts from an origin q~ and a velocity v~, the end q makes the
+incremental potential
+
+    P(q) = E(q) + l Phi((q - q~)/l; q_m) + |q - q~ - l v~|^2_M / (2 l^2) - f . q
+
+of the scene's terms stationary. With q~ and v~ those of the state this is a step of implicit
+Euler; the stages of the diagonally implicit Runge-Kutta methods have the same form, with an
+origin that takes in the stages before. Drag is linear in the velocity at a configuration q_m,
+which is that where the rod is expected to be.
+"""
+
+from collections.abc import Callable
+from dataclasses import field
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from ..core.pytree import pytree, replace, static
+from ..core.status import Status
+from ..rods.rod import Rod, State, carry_frames, positions, tangents
+from ..solve.blocks import Layout
+from ..solve.newton import NewtonInfo, NewtonSettings, equilibrium
+from ..solve.potential import Dofs, Mobility, Potential, gather
+from ..solve.saddle import Saddle, no_drag
+from ..terms.term import Prediction, Stage, Term, contributions
+from .motor import Motor
+from .provenance import CheckSums, changed
+from .step_size import Control
+
+T = TypeVar("T", bound=Term)
+
+
+@pytree
+class Step:
+    """A step that has been tried.
+
+    Attributes:
+        state: at its end.
+        info: how the solver did.
+        error: (d,) m and rad, estimate of what the step adds to the error.
+    """
+
+    state: State
+    info: NewtonInfo
+    error: Dofs
+
+
+@pytree
+class Scene:
+    """Everything that does not change during a run.
+
+    The terms that a scene has are part of its structure: what is not in `terms` is not in
+    the compiled program. All numbers are leaves and can be differentiated.
+
+    Attributes:
+        rod: topology and stress-free shape.
+        terms: the physical ingredients.
+        motor: what drives the natural twist of `rod.topology.motors`; None without motors.
+        newton: when the solver stops.
+        step_length: s, of a step, or of the first one if steps adapt to the motion.
+        scheme: how one step of some length is taken.
+        control: how the length of steps adapts; None for steps of one length.
+        layout: the blocks in which a large robot is solved for; None for one dense matrix.
+        parameters: the numbers that the scene was built of, by their names in scene files and in
+            the units that they have there: for the record, no step asks them.
+        check_sums: of the terms that it was built with; see `provenance`.
+        initial: the state in which it starts, if that is known; see `start`.
+        source: the scene file that it was built from; None for scenes made in another way.
+    """
+
+    rod: Rod
+    terms: tuple[Term, ...]
+    motor: Motor | None
+    newton: NewtonSettings
+    step_length: Float[Array, ""]
+    scheme: Callable[["Scene", State, Array], Step] = static()
+    control: Control | None = None
+    layout: Layout | None = None
+    parameters: dict[str, Array] = field(default_factory=dict)
+    check_sums: CheckSums = field(default_factory=dict)
+    initial: State | None = None
+    source: Any = static(default=None)
+
+    @property
+    def start(self) -> State:
+        """The state in which the scene starts: the robot at rest.
+
+        Raises:
+            ValueError: the scene was made by hand, without a state.
+        """
+        if self.initial is None:
+            raise ValueError("this scene has no initial state; give it one with initial=state")
+        return self.initial
+
+    def __getitem__(self, kind: type[T]) -> T:
+        """The one term of some kind, as `scene[derjax.Contact]`.
+
+        Raises:
+            KeyError: the scene has no such term, or several.
+        """
+        found = [term for term in self.terms if isinstance(term, kind)]
+        if len(found) != 1:
+            names = ", ".join(type(term).__name__ for term in self.terms)
+            raise KeyError(f"{len(found)} terms are a {kind.__name__}; the scene has {names}")
+        return found[0]
+
+    def replace(self, **parameters: Any) -> "Scene":
+        """The scene with some parameters changed, by name, as `scene.replace(pitch=0.05)`.
+
+        What does not follow from the parameters stays: terms that were added are kept.
+        Differentiable; also under `jax.jit`.
+
+        Args:
+            parameters: by the keys of `scene.parameters`, in the units that they have there.
+
+        Raises:
+            KeyError: a parameter that the scene does not have.
+            InputError: a number that cannot be.
+            ValueError: the scene was not built from a scene file, or one of the terms that it was
+                built with has been replaced.
+        """
+        if self.source is None:
+            raise ValueError(
+                "only scenes that were built from a scene file know how their parts follow from "
+                "parameters; use dataclasses.replace(scene, field=...) for parts of this one"
+            )
+        self._check_as_built()
+        return self.source.rebuilt(self, parameters)
+
+    def with_term(self, *terms: Term) -> "Scene":
+        """The scene with more physical ingredients."""
+        return replace(self, terms=(*self.terms, *terms))
+
+    def _check_as_built(self) -> None:
+        """Refuses to lose what has been done to terms that follow from parameters."""
+        built = self.terms[: len(self.check_sums)]
+        names = [type(term).__name__ for term in built]
+        if sorted(names) != sorted(self.check_sums):
+            raise ValueError(
+                f"the scene was built with the terms {', '.join(self.check_sums)}, and now has "
+                f"{', '.join(names)}: build it anew, and then change its terms"
+            )
+        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(self)):
+            return  # numbers that are traced cannot be compared
+        if others := changed(built, self.check_sums):
+            raise ValueError(
+                f"the numbers of {', '.join(others)} are not those that follow from the scene's "
+                "parameters: build it anew, and then change its terms"
+            )
+
+    def __repr__(self) -> str:
+        topology = self.rod.topology
+        size = f"{topology.n_nodes} nodes, {topology.n_edges} edges"
+        lines = [f"Scene of {size}, scheme {self.scheme.__name__}"]
+        lines.append("  terms: " + ", ".join(type(term).__name__ for term in self.terms))
+        lines += [f"  {name} = {_short(value)}" for name, value in self.parameters.items()]
+        return "\n".join(lines)
+
+
+def _short(value: Any) -> str:
+    """A number on a line: its value, or what JAX knows of it."""
+    if isinstance(value, Tracer) or not hasattr(value, "shape"):
+        return str(value)
+    return f"{float(value):.6g}" if np.ndim(value) == 0 else f"array of shape {np.shape(value)}"
+
+
+def expected_velocity(scene: Scene, state: State, ahead: Array) -> Dofs:
+    """The velocity (m/s, rad/s) some time (s) ahead, if motion goes on as it did.
+
+    Only where it is smooth: after a jump, as at the start, velocity is taken as constant. What is
+    smooth shows in the power of the solver's units of force and torque, in which positions and
+    angles count alike for robots of all sizes.
+    """
+
+    def size(velocity: Dofs) -> Array:
+        return jnp.sum((scene.newton.force_scale * velocity) ** 2)
+
+    # Before the first step there is no mean, but there may be a velocity.
+    velocity = jnp.where(state.length > 0.0, state.mean_velocity, state.velocity)
+    later = 0.5 * state.length + ahead
+    first = later * state.mean_acceleration
+    second = 0.5 * later * (later + state.length) * state.jerk
+    first = jnp.where(size(first) < size(velocity), first, 0.0)
+    second = jnp.where(size(second) < size(first), second, 0.0)
+    return velocity + first + second
+
+
+def expected_move(scene: Scene, state: State, ahead: Array) -> Dofs:
+    """How far (m, rad) the rod goes in some time (s), if motion goes on as it did."""
+    return ahead * expected_velocity(scene, state, 0.5 * ahead)
+
+
+def predict(scene: Scene, state: State, ahead: Array, length: Array) -> Prediction:
+    """What the terms are told before a step of some length (s) from `state`.
+
+    Drag is that of the configuration some time (s) ahead.
+    """
+    configuration = state.q + expected_move(scene, state, ahead)
+    return Prediction(configuration, expected_move(scene, state, length), scene.terms)
+
+
+def fluid_velocity(scene: Scene, q: Dofs, time: Array) -> Dofs | None:
+    """The velocity (m/s) of the fluid at every node and its spin (rad/s) about every edge.
+
+    None if no term makes the fluid flow.
+
+    Args:
+        scene: whose terms.
+        q: (d,) m and rad, where the rod is.
+        time: s.
+    """
+    topology = scene.rod.topology
+
+    def parts(x: Array) -> list[Array]:
+        each = (term.fluid_velocity(x, time) for term in scene.terms)
+        return [velocity for velocity in each if velocity is not None]
+
+    def flow(x: Array) -> Array:
+        return jnp.asarray(sum(parts(x)))
+
+    nodes = positions(topology, q)
+    if not parts(nodes[0]):
+        return None
+    start, end = topology.edge_nodes.T
+    gradient = jax.vmap(jax.jacfwd(flow))(0.5 * (nodes[start] + nodes[end]))
+    vorticity = jnp.stack(
+        [gradient[:, k, j] - gradient[:, j, k] for j, k in ((1, 2), (2, 0), (0, 1))], axis=1
+    )
+    spin = 0.5 * jnp.sum(vorticity * tangents(topology, nodes), axis=1)
+    return jnp.concatenate([jax.vmap(flow)(nodes).ravel(), spin])
+
+
+def turned(scene: Scene, state: State, length: Array) -> Float[Array, " k"]:
+    """Angle (rad) that the motors turn in the next `length` (s)."""
+    if scene.motor is None:
+        return jnp.zeros_like(state.motor_angle)
+    return scene.motor.turned(state.time, state.time + length)
+
+
+def solve(
+    scene: Scene,
+    prediction: Prediction,
+    state: State,
+    stage: Stage,
+    turn: Float[Array, " k"],
+    move: Dofs,
+) -> tuple[Dofs, NewtonInfo]:
+    """The end of a stage of the step that starts at `state`.
+
+    Differentiable in forward and reverse mode. A failure gives the best iterate and a status.
+
+    Args:
+        scene: whose rod and solver.
+        prediction: for the step.
+        state: at the start of the step.
+        stage: what to solve.
+        turn: rad, by which the motors have turned at its end.
+        move: (d,) m and rad, expected from the start of the step to the end of the stage.
+
+    Raises:
+        TypeError: a term answers with something that is no contribution.
+        ValueError: a term answers with one that the scene's solver does not take.
+    """
+    topology = scene.rod.topology
+    parts = contributions(scene.terms, scene.rod, state, stage, prediction)
+    mobilities = [c for c in parts if isinstance(c, Mobility)]
+    potential = gather([c for c in parts if not isinstance(c, Mobility)])
+    if potential.guards:
+        move = potential.reach(state.q, move) * move
+    guess = state.q + move
+    if topology.spindles:
+        dofs = topology.edge_dofs(topology.spindles)
+        guess = guess.at[dofs].set(state.q[dofs] + turn, unique_indices=True)
+    free = None
+    if topology.clamped:
+        free = tuple(np.setdiff1d(np.arange(topology.n_dofs), topology.clamped).tolist())
+    if scene.layout is None:
+        _check_no_mobility(mobilities)
+        q, info = equilibrium(potential, guess, scene.newton, free)
+    else:
+        drag = _only_mobility(scene.layout, mobilities)
+        q, info = _in_blocks(scene, scene.layout, potential, drag, guess)
+    if potential.guards:
+        fault, before = (potential.fault(lax.stop_gradient(x)) for x in (q, state.q))
+        status = jnp.where(info.status == Status.OK, fault, info.status)
+        overlap = (status != Status.OK) & (before == Status.PENETRATION)
+        status = jnp.where(overlap, Status.OVERLAP, status).astype(jnp.int32)
+        info = replace(info, status=status)
+    return q, info
+
+
+def _check_no_mobility(mobilities: list[Mobility]) -> None:
+    """Refuses what a dense matrix cannot be made of."""
+    if mobilities:
+        raise ValueError(
+            "a scene without layout is solved for with one dense matrix, which cannot take the "
+            "drag of BlockStokeslets; build the scene with [solver] method = 'dense', or have "
+            "StokesletSegments in their place"
+        )
+
+
+def _only_mobility(layout: Layout, mobilities: list[Mobility]) -> Mobility:
+    """The non-local drag of a robot in blocks: there can be one."""
+    if len(mobilities) > 1:
+        raise ValueError(
+            f"{len(mobilities)} terms have a Mobility, as BlockStokeslets do: a robot in blocks "
+            "can have one, in which all that drags it is added up"
+        )
+    if not mobilities:
+        return no_drag(layout)
+    (drag,) = mobilities
+    blocks, size = layout.nodes[..., 0].size, 3 * layout.size
+    if drag.law.resistance.shape != (blocks, size, size):
+        raise ValueError(
+            "the blocks of the drag are not those of scene.layout: they must be one Layout"
+        )
+    return drag
+
+
+def _in_blocks(
+    scene: Scene, layout: Layout, potential: Potential, drag: Mobility, guess: Dofs
+) -> tuple[Dofs, NewtonInfo]:
+    """The end of a stage of a large robot."""
+    topology = scene.rod.topology
+    if layout.topology != topology:
+        raise ValueError("scene.layout is that of another robot: it must have scene.rod.topology")
+    free = np.ones(topology.n_dofs)
+    free[list(topology.clamped)] = 0.0
+    scale = lax.stop_gradient(scene.newton.force_scale)
+    saddle = Saddle(potential, drag, layout, guess, jnp.asarray(free), scale)
+    dry = jnp.broadcast_to(jnp.asarray(scene.newton.size), guess.shape)
+    size = saddle.join(dry, jnp.zeros(saddle.drag.dofs.array.size))
+    settings = replace(scene.newton, force_scale=saddle.scales, size=size)
+    z, info = equilibrium(saddle, saddle.start(guess), settings, None)
+    return saddle.split(z)[0], info
+
+
+def at_end(
+    scene: Scene,
+    state: State,
+    length: Array,
+    q: Dofs,
+    velocity: Dofs,
+    acceleration: Dofs,
+    turn: Float[Array, " k"],
+) -> State:
+    """The state after a step from `state` to `q`, with what is known of its end."""
+    new = carry_frames(scene.rod, replace(state, motor_angle=state.motor_angle + turn), q)
+    return replace(
+        new,
+        velocity=velocity,
+        acceleration=acceleration,
+        mean_velocity=(q - state.q) / length,
+        mean_acceleration=mean_acceleration(state, length, q),
+        jerk=jerk(state, length, q),
+        length=length,
+        time=state.time + length,
+    )
+
+
+def jerk(state: State, length: Array, q: Dofs) -> Dofs:
+    """d3q/dt3 (m/s^3 and rad/s^3), from a step to `q` and two of one length before it."""
+    change = mean_acceleration(state, length, q) - state.mean_acceleration
+    return change / (0.25 * length + 0.75 * state.length)
+
+
+def mean_acceleration(state: State, length: Array, q: Dofs) -> Dofs:
+    """From the middle of the last step to that of one to `q` (m/s^2 and rad/s^2)."""
+    change = (q - state.q) / length - state.mean_velocity
+    return 2.0 * change / (length + state.length)

@@ -1,0 +1,133 @@
+"""What acts on a robot at one moment: energies, forces, the potential of a step, resistance."""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..integrate.step import Scene, fluid_velocity, turned
+from ..rods.rod import State, positions, tangents
+from ..rods.vectors import cross
+from ..solve.gmres import gmres
+from ..solve.potential import Contribution, Dofs, Mobility, Potential, gather
+from ..solve.saddle import EXACT, PRODUCTS
+from ..terms.term import Role, Stage, Term, contributions, standing
+
+
+def energies(scene: Scene, state: State) -> dict[str, Float[Array, ""]]:
+    """The potential energy (J) of every term that has one, by the name of its type."""
+    stage = Stage(jnp.ones(()), state.time, state.motor_angle)
+    chosen = [term for term in scene.terms if term.role is Role.ENERGY]
+    found: dict[str, Array] = {}
+    for term, part in zip(chosen, _parts(scene, chosen, state, stage), strict=True):
+        if not isinstance(part, Contribution):
+            raise TypeError(f"{type(term).__name__} has the role of an energy, and is a mobility")
+        name = type(term).__name__
+        found[name] = found.get(name, jnp.zeros(())) + part.value(state.q)
+    return found
+
+
+def forces(scene: Scene, state: State) -> dict[str, Float[Array, "n 3"]]:
+    """The force (N) of every term on every node, by the name of its type.
+
+    Drag and friction are those of the state's velocity, inertia that of its acceleration.
+    """
+    found: dict[str, Array] = {}
+    stage = _moving(scene, state, state.velocity)
+    for term, part in zip(scene.terms, _parts(scene, scene.terms, state, stage), strict=True):
+        name = type(term).__name__
+        force = positions(scene.rod.topology, _force(part, state))
+        found[name] = found.get(name, jnp.zeros_like(force)) + force
+    return found
+
+
+def potential(scene: Scene, state: State, length: float | Array) -> Potential:
+    """The incremental potential of a step of implicit Euler from `state`.
+
+    The end of the step makes its `value(q)` stationary: there `gradient(q)` vanishes on all degrees
+    of freedom that are not held. Drag and friction are those of the configuration at the start.
+
+    Args:
+        scene: whose terms.
+        state: at the start of the step.
+        length: s.
+
+    Raises:
+        ValueError: the drag of a robot in blocks, which has no potential in these unknowns.
+    """
+    length = jnp.asarray(length, float)
+    angle = state.motor_angle + turned(scene, state, length)
+    parts = _parts(scene, scene.terms, state, Stage(length, state.time + length, angle))
+    found = [part for part in parts if isinstance(part, Contribution)]
+    if len(found) < len(parts):
+        raise ValueError(
+            "the drag of a robot in blocks is known by what forces do, and has no potential; "
+            "build the scene with [solver] method = 'dense'"
+        )
+    return gather(found)
+
+
+def resistance(
+    scene: Scene, state: State | None = None, about: Float[Array, " 3"] | None = None
+) -> Float[Array, "6 6"]:
+    """What resists the motion of the robot as if it were rigid.
+
+    Takes its velocity (m/s) and rate of rotation (rad/s) to force (N) and torque (N m) against
+    the motion.
+
+    Args:
+        scene: whose drag.
+        state: where the robot is; None for the start.
+        about: m, the point about which it turns, and to which torques refer; None for the head,
+            or for the origin if there is no head.
+    """
+    state = scene.start if state is None else state
+    topology = scene.rod.topology
+    nodes = positions(topology, state.q)
+    if about is None:
+        about = jnp.zeros(3) if topology.head is None else nodes[topology.head.node]
+    drags = [term for term in scene.terms if term.role is Role.DRAG]
+
+    def motion(rigid: Float[Array, " 6"]) -> Dofs:
+        along, turn = rigid[:3], jnp.broadcast_to(rigid[3:], nodes.shape)
+        spin = tangents(topology, nodes) @ rigid[3:]
+        return jnp.concatenate([(along + cross(turn, nodes - about)).ravel(), spin])
+
+    def drag(rigid: Float[Array, " 6"]) -> Dofs:
+        stage = _moving(scene, state, motion(rigid))
+        parts = _parts(scene, drags, state, stage)
+        return -sum((_force(part, state) for part in parts), jnp.zeros_like(state.q))
+
+    motions, loads = jax.vmap(motion)(jnp.eye(6)), jnp.stack([drag(e) for e in jnp.eye(6)])
+    return motions @ loads.T
+
+
+def _parts(
+    scene: Scene, terms: Sequence[Term], state: State, stage: Stage
+) -> list[Contribution | Mobility]:
+    """What terms contribute where the rod stands; they may ask all terms of the scene."""
+    prediction = standing(state, scene.terms)
+    return contributions(terms, scene.rod, state, stage, prediction)
+
+
+def _moving(scene: Scene, state: State, velocity: Dofs) -> Stage:
+    """A stage of unit length that ends at the state's positions with some velocity."""
+    return Stage(
+        length=jnp.ones(()),
+        time=state.time,
+        motor_angle=state.motor_angle,
+        origin=state.q - velocity,
+        velocity=velocity - state.acceleration,
+        fluid_velocity=fluid_velocity(scene, state.q, state.time),
+    )
+
+
+def _force(part: Contribution | Mobility, state: State) -> Dofs:
+    """N and N m, at the state's positions."""
+    if isinstance(part, Contribution):
+        return -part.gradient(state.q)
+    wet, law = part.dofs.array, part.law
+    velocity = (state.q - part.origin)[wet] / part.time
+    alone = gmres(lambda u: law.apply(law.resist(u)), velocity, EXACT, PRODUCTS)
+    return jnp.zeros_like(state.q).at[wet].add(-law.resist(alone))

@@ -1,0 +1,1 @@
+"""What a rod is: vectors, topology, rest shape, state and frames."""

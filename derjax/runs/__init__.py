@@ -1,0 +1,1 @@
+"""Who runs scenes: single runs with checkpoints, batches and sweeps."""

@@ -1,0 +1,306 @@
+"""The points of a sweep: which of them share a program, and what comes out of them."""
+
+import time
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+
+from ...core.pytree import Indices, replace
+from ...core.status import Status
+from ...integrate.frames import RolloutStats, new_stats
+from ...integrate.step import Scene
+from ...results import dataset as trajectory
+from ...results import summary as summaries
+from ...rods.rod import State
+from ...scenes.build import build, enlarge
+from ...scenes.file import Contact, Fluid, Head, InputError, Material, Motor, SceneFile, Time
+from ...scenes.parameters import PLACES
+from ...scenes.shape import touching_pairs
+from ..batch import advance, build_many, everyone, pick, repeat, spread
+
+T = TypeVar("T")
+
+ERROR = "error"
+"""Status of a point whose computation broke down for a reason of its own, as without memory."""
+
+INVALID = "invalid"
+"""Status of a point whose values do not make a scene."""
+
+PIECES = 8
+"""In which a chunk of points is computed, at most, to see how far it has come and to stop it."""
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Points that are computed in one go.
+
+    Attributes:
+        files: the scenes of the points, by their numbers.
+        places: of the batch that they are computed in, at least.
+        trajectories: whether to keep them.
+    """
+
+    files: Mapping[int, SceneFile]
+    places: int
+    trajectories: bool = False
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came out of a point.
+
+    Attributes:
+        number: of the point.
+        row: status, message, the numbers of `summary.summarise` and what they have cost.
+        trajectory: if it is to be kept.
+    """
+
+    number: int
+    row: Mapping[str, Any]
+    trajectory: xr.Dataset | None = None
+
+
+class Cancelled(Exception):
+    """The computation was asked to stop."""
+
+
+def failed(number: int, status: str, message: str) -> Outcome:
+    """The outcome of a point that could not be computed at all."""
+    return Outcome(number, {"status": status, "message": message})
+
+
+def programs(files: Mapping[int, SceneFile]) -> tuple[list[list[int]], list[Outcome]]:
+    """The numbers of the points by the compiled program that they share, and those without one.
+
+    Raises:
+        InputError: by no means; a robot that overlaps itself is a point without a program.
+    """
+    found: dict[Hashable, Any] = {}
+    groups: dict[Any, list[int]] = {}
+    invalid = []
+    for number, file in files.items():
+        try:
+            form = _form(file)
+        except InputError as error:
+            invalid.append(failed(number, INVALID, str(error)))
+            continue
+        if form not in found:
+            found[form] = _program(file)
+        groups.setdefault(found[form], []).append(number)
+    return list(groups.values()), invalid
+
+
+def _program(file: SceneFile) -> Hashable:
+    """What compiled programs depend on."""
+    shapes = jax.eval_shape(lambda: replace(build(file), source=None))
+    leaves, structure = jax.tree.flatten(shapes)
+    kinds = tuple((leaf.shape, str(leaf.dtype)) for leaf in leaves)
+    return structure, kinds, file.n_frames, file.steps_per_frame
+
+
+def _form(file: SceneFile) -> Hashable:
+    """What scenes have in common that `build` makes of one another by their parameters alone.
+
+    That takes in steps and frames, which by default depend on the motors.
+
+    Raises:
+        InputError: parts of the robot overlap.
+    """
+    content = file.model_dump(mode="json")
+    for name in file.parameters:
+        table, key = PLACES[name].split(".")
+        content[table].pop(key)
+    shapes = tuple((name, np.shape(value)) for name, value in file.parameters.items())
+    times = file.motor_table and file.motor_table.time
+    return str(content), shapes, times, file.grid, *_size(file)
+
+
+def _size(file: SceneFile) -> tuple[int, Indices | None]:
+    """Degrees of freedom of a robot, and the pairs of its edges that can touch."""
+    plain = {
+        "material": Material(),
+        "fluid": Fluid(hydrodynamics="none"),
+        "head": Head(),
+        "motor": Motor(),
+        "time": Time.model_validate({}),
+        "contact": Contact(method="none"),
+        "friction": None,
+        "gravity": None,
+        "motor_table": None,
+    }
+    # Scenes are hashable, which type checkers do not see.
+    robot: Any = file.model_copy(update=plain)
+    return _size_of_robot(robot, file.touching)
+
+
+@lru_cache(maxsize=10_000)
+def _size_of_robot(file: Any, touching: bool) -> tuple[int, Indices | None]:
+    state = jax.eval_shape(lambda: build(file)).start
+    return state.q.size, touching_pairs(file) if touching else None
+
+
+def compute(
+    chunk: Chunk, on_progress: Callable[[float], None] = lambda done: None
+) -> list[Outcome]:
+    """What comes out of points that share a program.
+
+    A point's wall time is its share of that of the chunk, without compilation.
+
+    Args:
+        chunk: the points.
+        on_progress: told now and then how many points' worth has been done; may raise
+            `Cancelled`.
+    """
+    numbers, files = list(chunk.files), list(chunk.files.values())
+    scenes, states = _build_all(files, chunk.places)
+    _compile(scenes, states, files[0], chunk.places)
+    began = time.perf_counter()
+    frames, reports = _run(scenes, states, files[0], chunk.places, on_progress)
+    whole = jax.tree.map(lambda a, b: np.concatenate([a[:, None], b], axis=1), states, frames)
+    shared = (time.perf_counter() - began) / len(files)
+    return [
+        _outcome(
+            number,
+            file,
+            pick(scenes, k),
+            pick(whole, k),
+            pick(reports, k),
+            shared,
+            chunk.trajectories,
+        )
+        for k, (number, file) in enumerate(zip(numbers, files, strict=True))
+    ]
+
+
+def compute_surely(
+    chunk: Chunk, on_progress: Callable[[float], None] = lambda done: None
+) -> list[Outcome]:
+    """`compute`, where whatever goes wrong with a point is its outcome, and no other's."""
+    try:
+        return compute(chunk, on_progress)
+    except Cancelled:
+        raise
+    except Exception as error:
+        if len(chunk.files) == 1:
+            (number,) = chunk.files
+            return [failed(number, ERROR, f"{type(error).__name__}: {error}")]
+    outcomes = []
+    for number, file in chunk.files.items():
+        done = len(outcomes)
+        one = Chunk({number: file}, 1, chunk.trajectories)
+        outcomes += compute_surely(one, lambda part, done=done: on_progress(done + part))
+    return outcomes
+
+
+def _build_all(files: Sequence[SceneFile], places: int) -> tuple[Scene, State]:
+    """The scenes and states of points, with a leading axis of points, on the host.
+
+    Always built for at least so many places, for chunks of fewer points to share a program.
+    """
+    forms: dict[Hashable, list[int]] = {}
+    for k, file in enumerate(files):
+        forms.setdefault(_form(file), []).append(k)
+    parts = []
+    for alike in forms.values():
+        spare = max(places - len(alike), 0)
+        values = [files[k].parameters for k in [*alike, *alike[:1] * spare]]
+        columns = {name: np.array([v[name] for v in values], float) for name in values[0]}
+        built = jax.tree.map(np.asarray, build_many(files[alike[0]], columns))
+        parts.append(pick(built, slice(len(alike))))
+    order = np.argsort(np.concatenate(list(forms.values())))
+    scenes: Scene = jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *parts)
+    return scenes, scenes.start
+
+
+def _compile(scenes: Scene, states: State, file: SceneFile, places: int) -> None:
+    """Has the program of `_run` compiled, by running it with points that take no steps."""
+    over = replace(new_stats(), status=jnp.array(Status.NON_FINITE, jnp.int32))
+    batch = spread(scenes, states, repeat(over, len(states.time)), places=places)
+    jax.block_until_ready(advance(batch, *_piece(file))[1])
+
+
+def _piece(file: SceneFile) -> tuple[int, int]:
+    """Frames of a piece of a run, and steps of a frame."""
+    n_frames = file.n_frames
+    pieces = max(k for k in range(1, PIECES + 1) if n_frames % k == 0)
+    return n_frames // pieces, file.steps_per_frame
+
+
+def _run(
+    scenes: Scene,
+    states: State,
+    file: SceneFile,
+    places: int,
+    on_progress: Callable[[float], None],
+) -> tuple[State, RolloutStats]:
+    """All frames of all points, and how they went.
+
+    Points whose contacts do not fit into their lists are computed again with longer ones.
+    """
+    count, n_frames = len(states.time), file.n_frames
+    frames_of_piece, steps_per_frame = _piece(file)
+    batch, parts = spread(scenes, states, places=places), []
+    for done in range(frames_of_piece, n_frames + 1, frames_of_piece):
+        batch, part = advance(batch, frames_of_piece, steps_per_frame)
+        parts.append(everyone(batch, part))
+        on_progress(count * done / n_frames)
+    frames = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1), *parts)
+    reports = everyone(batch, batch.reports)
+    short = np.flatnonzero(reports.status == Status.CAPACITY)
+    if not short.size:
+        return frames, reports
+    again = _run(
+        enlarge(pick(scenes, short)),
+        pick(states, short),
+        file,
+        places,
+        lambda done: on_progress(count),  # for `Cancelled`
+    )
+
+    def put(old: np.ndarray, new: np.ndarray) -> np.ndarray:
+        old = np.array(old)
+        old[short] = new
+        return old
+
+    return jax.tree.map(put, (frames, reports), again)
+
+
+def _outcome(
+    number: int,
+    file: SceneFile,
+    scene: Scene,
+    states: State,
+    report: RolloutStats,
+    wall_time: float,
+    keep: bool,
+) -> Outcome:
+    """What a run has come to. Without numbers if it failed: they would be of another time."""
+    # A run that has failed stays where it is.
+    moved = np.concatenate([[True], np.diff(states.time) > 0])
+    status = {"status": Status(int(report.status)).name.lower(), "message": report.message()}
+    dataset = None
+    numbers: dict[str, Any] = {}
+    if report.ok or keep:
+        dataset = trajectory.to_dataset(
+            scene,
+            pick(states, moved),
+            {"title": "A point of a sweep, by derjax", **status},
+            file,
+        )
+    if report.ok and dataset is not None:
+        numbers = summaries.summarise(dataset)
+        del numbers["window_s"]
+    costs = {
+        "time_s": float(trajectory.rounded(states.time)[-1]),
+        "steps": int(report.steps),
+        "rejected_steps": int(report.rejected),
+        "newton_iterations": int(report.iterations),
+        "wall_time_s": round(wall_time, 4),
+    }
+    return Outcome(number, status | numbers | costs, dataset if keep else None)

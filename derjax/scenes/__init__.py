@@ -1,0 +1,1 @@
+"""How scenes are described: files, parameters, checks, and what is built of them."""

@@ -1,0 +1,128 @@
+"""The shape of a robot: where its nodes are at rest, and which of its edges may touch."""
+
+import math
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..core.pytree import Indices
+from ..shapes import (
+    Body,
+    arc,
+    around,
+    branched,
+    clamped,
+    edge_count,
+    helix,
+    helix_contour,
+    single_flagellum,
+    two_flagella,
+)
+from ..terms.contact.neighbours import PENETRATION, pairs_apart
+from ..terms.contact.segments import distance
+from .file import InputError, SceneFile
+
+SHAPE = ("helix_radius", "pitch", "axial_length", "rod_radius", "separation", "bend")
+"""The parameters that say which edges may touch."""
+
+
+def body_of(scene: SceneFile, p: Mapping[str, Array]) -> Body:
+    """The nodes (m) of a robot at rest, and how they hang together.
+
+    Their number is that of the file's own dimensions.
+
+    Args:
+        scene: the file.
+        p: its parameters, or others: those of the shape are needed.
+    """
+    robot = scene.robot
+    filaments, edge = _filaments(scene, p)
+    if robot.kind == "single_flagellum":
+        return single_flagellum(filaments[0], edge)
+    if robot.kind == "two_flagella":
+        return two_flagella((filaments[0], filaments[1]), edge, p["separation"])
+    separation = p.get("separation", jnp.zeros(()))
+    if robot.kind == "clamped":
+        return clamped(filaments, edge, separation, robot.clamped_tip)
+    return branched(filaments, edge, separation)
+
+
+def _filaments(scene: SceneFile, p: Mapping[str, Array]) -> tuple[list[Array], Array]:
+    """The filaments of a robot, each in a frame of its own, and the length of their edges."""
+    robot, length = scene.robot, p["axial_length"]
+    if robot.shape == "helix":
+        radius, pitch = p["helix_radius"], p["pitch"]
+        n_edges = edge_count(robot.helix_radius, robot.pitch, robot.axial_length, robot.edge_length)
+        edge = helix_contour(radius, pitch, length) / n_edges
+        filaments = [helix(radius, pitch, length, n_edges, hand) for hand in robot.hands]
+    else:
+        n_edges = max(3, math.floor(robot.axial_length / robot.edge_length + 1e-9))
+        edge = length / n_edges
+        bend = p.get("bend", jnp.zeros(()))
+        filaments = [arc(length, bend, n_edges) for _ in robot.hands]
+    return [
+        around(phase, nodes) if phase else nodes
+        for phase, nodes in zip(robot.phases, filaments, strict=True)
+    ], edge
+
+
+def touching_pairs(scene: SceneFile, numbers: Mapping[str, Any] | None = None) -> Indices:
+    """The pairs of edges of a robot that can touch.
+
+    Those between which there is less rod than pi r_0 cannot: a rod that bends back on itself
+    as tightly as its thickness allows touches itself after half a turn of that radius.
+
+    Args:
+        scene: the file.
+        numbers: all its parameters; None for its own.
+
+    Raises:
+        InputError: parts of the robot overlap at the start.
+    """
+    numbers = scene.parameters if numbers is None else numbers
+    shape = tuple((name, float(numbers[name])) for name in SHAPE if name in numbers)
+    # Scenes are hashable, which type checkers do not see.
+    hashable: Any = scene
+    return _touching_pairs(hashable, shape)
+
+
+@lru_cache(maxsize=64)
+def _touching_pairs(scene: SceneFile, shape: tuple[tuple[str, float], ...]) -> Indices:
+    numbers = dict(shape)
+    with jax.ensure_compile_time_eval():
+        body = body_of(scene, {name: jnp.asarray(value) for name, value in shape})
+        start, end = body.topology.edge_nodes.T
+        nodes = np.asarray(body.nodes)
+    length = np.linalg.norm(nodes[end] - nodes[start], axis=1)
+    pairs = pairs_apart(body.topology, length, np.pi * numbers["rod_radius"])
+    _check_apart(numbers, nodes[body.topology.edge_nodes], pairs)
+    return pairs
+
+
+def _check_apart(
+    numbers: Mapping[str, Any], edges: Float[np.ndarray, "e 2 3"], pairs: Indices
+) -> None:
+    """Refuses a robot whose parts overlap from the start."""
+    diameter = 2 * numbers["rod_radius"]
+    middle = edges.mean(axis=1)
+    half = 0.5 * np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)
+    first, second = pairs.array.T
+    apart = np.linalg.norm(middle[first] - middle[second], axis=1) - half[first] - half[second]
+    close = pairs.array[apart < diameter]
+    if len(close) == 0:
+        return
+    with jax.ensure_compile_time_eval():
+        nearest = float(distance(jnp.asarray(edges[close].reshape(-1, 4, 3))).min())
+    if nearest < (1 - PENETRATION) * diameter:
+        hint = "a smaller rod_radius"
+        if "separation" in numbers:
+            hint = f"a larger separation (now {numbers['separation']:g} m) or other phases"
+        raise InputError(
+            f"[robot]: two parts of the robot overlap at the start, their centre lines "
+            f"{nearest:.3g} m apart and the rod {diameter:.3g} m thick; try {hint}"
+        )

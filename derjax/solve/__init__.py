@@ -1,0 +1,1 @@
+"""How a step is solved for: contributions to a potential, Newton's method, linear systems."""

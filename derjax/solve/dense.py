@@ -1,0 +1,145 @@
+"""Direct solution of the Newton systems: factor once, solve for many right-hand sides."""
+
+from typing import Protocol
+
+import jax.numpy as jnp
+from jax import lax
+from jax.scipy.linalg import cho_solve, lu_factor, lu_solve, solve_triangular
+from jaxtyping import Array, Float
+
+from ..core.pytree import pytree
+
+Matrix = Float[Array, "d d"]
+Rhs = Float[Array, "d *k"]
+
+
+class Factor(Protocol):
+    """A factored matrix."""
+
+    def solve(self, b: Rhs) -> Rhs:
+        """Solution x of A x = b."""
+        ...
+
+    def solve_transposed(self, b: Rhs) -> Rhs:
+        """Solution x of A^T x = b."""
+        ...
+
+
+@pytree
+class Cholesky:
+    """A = L L^T."""
+
+    lower: Matrix
+
+    def solve(self, b: Rhs) -> Rhs:
+        return cho_solve((self.lower, True), b)
+
+    def solve_transposed(self, b: Rhs) -> Rhs:
+        return self.solve(b)
+
+
+@pytree
+class LU:
+    """P A = L U."""
+
+    lu: Matrix
+    pivots: Array
+
+    def solve(self, b: Rhs) -> Rhs:
+        return lu_solve((self.lu, self.pivots), b)
+
+    def solve_transposed(self, b: Rhs) -> Rhs:
+        return lu_solve((self.lu, self.pivots), b, trans=1)
+
+
+@pytree
+class Triangles:
+    """P A = L U, with any diagonals: also what a Cholesky factor is."""
+
+    lower: Matrix
+    upper: Matrix
+    order: Array
+
+    def solve(self, b: Rhs) -> Rhs:
+        y = solve_triangular(self.lower, b[self.order], lower=True)
+        return solve_triangular(self.upper, y)
+
+    def solve_transposed(self, b: Rhs) -> Rhs:
+        y = solve_triangular(self.upper, b, trans=1)
+        y = solve_triangular(self.lower, y, lower=True, trans=1)
+        return jnp.zeros_like(y).at[self.order].set(y)
+
+
+def ridge(diagonal: Array, unit: Array) -> Array:
+    """What is added to a diagonal, times more and more, for its matrix to be positive definite.
+
+    Its mean in units of force and torque, so that it does not matter in which units positions and
+    angles are. It is alike for all positions: in proportion to the entries themselves it would
+    hold back what is stiff for what is soft.
+
+    Args:
+        diagonal: of a Newton matrix.
+        unit: N and N m, of each degree of freedom; zero for those that are not free.
+    """
+    weight = unit**2
+    free = weight > 0.0
+    share = jnp.where(free, jnp.abs(diagonal) / jnp.where(free, weight, 1.0), 0.0)
+    return weight * jnp.sum(share) / jnp.maximum(jnp.sum(free), 1)
+
+
+def _with_idle(matrix: Matrix) -> Matrix:
+    """The matrix with ones for degrees of freedom that nothing acts on: they stay where they are.
+
+    The angles of rods that do not resist twist are such.
+    """
+    idle = ~jnp.any(matrix != 0.0, axis=1)
+    return matrix + jnp.diag(idle.astype(matrix.dtype))
+
+
+def factor(matrix: Matrix, symmetric: bool, unit: Array) -> Factor:
+    """Factor a Newton matrix for the iteration.
+
+    Away from a minimum a symmetric matrix may be indefinite; then a growing multiple of its
+    `ridge` is added until it is positive definite, which makes the Newton step a descent
+    direction. At a stable solution nothing is added.
+    """
+    if not symmetric:
+        return LU(*lu_factor(matrix))
+    added = jnp.diag(ridge(jnp.diagonal(matrix), unit))
+    matrix = _with_idle(matrix)
+
+    def retry(carry):
+        lower, shift = carry
+        del lower
+        shift = jnp.where(shift == 0.0, 1e-8, 10.0 * shift)
+        return lax.linalg.cholesky(matrix + shift * added), shift
+
+    def indefinite(carry):
+        lower, shift = carry
+        return jnp.isnan(lower[-1, -1]) & (shift < 1e4)
+
+    lower = lax.linalg.cholesky(matrix, symmetrize_input=False)
+    return Cholesky(lax.while_loop(indefinite, retry, (lower, jnp.zeros(())))[0])
+
+
+def factor_as_it_is(matrix: Matrix, symmetric: bool) -> Factor:
+    """Factor a Newton matrix for derivatives, to which nothing may be added.
+
+    That of an equilibrium which is not stable is indefinite, and its derivatives are none the less
+    those of the implicit function theorem.
+    """
+    if not symmetric:
+        return LU(*lu_factor(matrix))
+    matrix = _with_idle(matrix)
+    lower = lax.linalg.cholesky(matrix, symmetrize_input=False)
+    in_order = jnp.arange(len(matrix))
+
+    def definite() -> Triangles:
+        return Triangles(lower, lower.T, in_order)
+
+    def indefinite() -> Triangles:
+        both, _, order = lax.linalg.lu(matrix)
+        unit_lower = jnp.tril(both, -1) + jnp.eye(len(matrix))
+        return Triangles(unit_lower, jnp.triu(both), order.astype(in_order.dtype))
+
+    return lax.cond(jnp.isnan(lower[-1, -1]), indefinite, definite)

@@ -1,0 +1,304 @@
+"""Where the gradient of a potential vanishes, and how that point moves with the potential.
+
+`equilibrium` is a globalised Newton iteration in a `lax.while_loop`. It is differentiated by
+the implicit function theorem, not through its iterations: with F(q, p) = 0,
+
+    dq = -(dF/dq)^-1 dF/dp dp,
+
+one linear solve with the Newton matrix at the solution. The rule is written once, in forward
+mode with a transposable solve, which gives reverse mode and higher orders as well.
+"""
+
+from functools import partial
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.ad_checkpoint import checkpoint_name
+from jax.custom_derivatives import SymbolicZero
+from jaxtyping import Array, Float, Int
+
+from ..core.pytree import push, pytree, replace, static
+from ..core.status import Status
+from .dense import Factor
+from .potential import Dofs
+
+_SEARCHING = -1
+
+CLOSE = 1e5
+"""Tolerances; with less than that left the residual alone tells whether a step is good."""
+
+
+@pytree
+class NewtonSettings:
+    """When to stop.
+
+    Attributes:
+        tolerance: the largest scaled residual of a solution, unless round-off is larger.
+        force_scale: (d,) N and N m, what the residual is measured in.
+        size: (d,) m and rad, of numbers that are rounded, if larger than the unknowns themselves:
+            angles are made of others, of about half a turn, that may add up to nothing.
+        max_iterations: Newton steps.
+        max_halvings: of a Newton step, in the line search.
+    """
+
+    tolerance: Float[Array, ""]
+    force_scale: Dofs
+    size: Dofs | float = 0.0
+    max_iterations: int = static(default=40)
+    max_halvings: int = static(default=20)
+
+
+@pytree
+class NewtonInfo:
+    """What happened.
+
+    Attributes:
+        status: how it ended, a `Status`.
+        iterations: steps of Newton's method, with new matrices and old.
+        factorings: matrices that were factored.
+        residual: the largest scaled residual left.
+    """
+
+    status: Int[Array, ""]
+    iterations: Int[Array, ""]
+    factorings: Int[Array, ""]
+    residual: Float[Array, ""]
+
+
+def worse(first: NewtonInfo, second: NewtonInfo) -> NewtonInfo:
+    """What happened in two solves, of which one follows on the other."""
+    good = first.status == Status.OK
+    return NewtonInfo(
+        status=jnp.where(good, second.status, first.status),
+        iterations=first.iterations + second.iterations,
+        factorings=first.factorings + second.factorings,
+        residual=jnp.where(good, jnp.maximum(first.residual, second.residual), first.residual),
+    )
+
+
+@pytree
+class _Point:
+    """What is known where the iteration has come to."""
+
+    q: Dofs
+    value: Array
+    gradient: Dofs
+    residual: Array
+
+
+@pytree
+class _Search:
+    """A point, and the part of the way from there that is tried next.
+
+    Residuals are measured in `unit`; `blurred` is what rounding leaves of the largest, in units of
+    forces. The Newton matrix is `fresh` if it is that of the point, and `outdated` if the next step
+    should not be taken with it.
+    """
+
+    point: _Point
+    part: Array
+    unit: Dofs
+    blurred: Array
+    iterations: Array
+    factorings: Array
+    fresh: Array
+    outdated: Array
+    status: Array
+
+
+def _insert(q: Dofs, values: Array | float, free: tuple[int, ...]) -> Dofs:
+    """`q` with `values` at the free degrees of freedom."""
+    return q.at[np.array(free)].set(values, unique_indices=True)
+
+
+class Equations(Protocol):
+    """What is to be solved: a `Potential`, or a `Saddle`.
+
+    Attributes:
+        symmetric: whether a potential is to be minimised: then there are `value_and_gradient` and
+            `slope`.
+        chords: steps that one may still have to take with a matrix that is out of date.
+        guards: what must hold on the way.
+    """
+
+    symmetric: Any
+    chords: int
+    guards: Any
+
+    def gradient(self, q: Dofs) -> Dofs: ...
+
+    def reach(self, q: Dofs, direction: Dofs) -> Array: ...
+
+    def factored(
+        self, q: Dofs, sizes: Dofs, unit: Dofs, free: tuple[int, ...] | None, exact: bool
+    ) -> tuple[Factor, Dofs]: ...
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(3,))
+def equilibrium(
+    potential: Any, guess: Dofs, settings: NewtonSettings, free: tuple[int, ...] | None
+) -> tuple[Dofs, NewtonInfo]:
+    """The point near `guess` where the gradient of `potential` vanishes.
+
+    Args:
+        potential: `Equations`; a potential is made a minimum where it is symmetric.
+        guess: (d,) start. Degrees of freedom that are not free keep its values.
+        settings: tolerances.
+        free: degrees of freedom to solve for; None for all.
+
+    Returns:
+        The solution and how it was reached. On failure the status says so and the best
+        iterate is returned; nothing is raised in compiled code.
+    """
+    symmetric = potential.symmetric
+    chosen = slice(None) if free is None else np.array(free)
+    shortest = 0.5**settings.max_halvings
+
+    def scaled(force: Dofs, unit: Dofs) -> Array:
+        return jnp.max((jnp.abs(force) / unit)[chosen])
+
+    def along(matrix: Factor, gradient: Dofs) -> Dofs:
+        step = -matrix.solve(gradient[chosen])
+        return step if free is None else _insert(jnp.zeros_like(gradient), step, free)
+
+    # The potential, its gradient, its Hessian and a solution with it each stand at one place in the
+    # program: they are what compiling costs. A loop within a loop, and not a choice within one, as
+    # matrices that are handed on from one iteration to the next would be copied.
+    def renew(now: _Search) -> _Search:
+        q = now.point.q
+        sizes = jnp.maximum(jnp.abs(q), settings.size)
+        matrix, rounded = potential.factored(q, sizes, settings.force_scale, free, exact=False)
+        # No residual can be smaller than what rounding the coordinates alone makes of it. That is
+        # so for every equation by itself: the inertia of a head that is heavy for a short step
+        # says nothing about the twist of a thin rod.
+        rounding = 4.0 * jnp.finfo(q.dtype).eps * rounded
+        unit = jnp.maximum(settings.force_scale, rounding / settings.tolerance)
+        before = now.point.residual
+        residual = jnp.where(jnp.isinf(before), before, scaled(now.point.gradient, unit))
+        start = replace(
+            now,
+            point=replace(now.point, residual=residual),
+            unit=unit,
+            blurred=jnp.maximum(settings.tolerance, scaled(rounding, settings.force_scale)),
+            part=jnp.ones(()),
+            factorings=now.factorings + 1,
+            fresh=jnp.array(True),
+            outdated=jnp.array(False),
+        )
+        return lax.while_loop(
+            lambda now: (now.status == _SEARCHING) & ~now.outdated, partial(advance, matrix), start
+        )
+
+    def advance(matrix: Factor, now: _Search) -> _Search:
+        direction = along(matrix, now.point.gradient)
+        length = now.part
+        if potential.guards:
+            length = length * potential.reach(now.point.q, direction)
+        q = now.point.q + length * direction
+        if symmetric:
+            value, gradient = potential.value_and_gradient(q)
+        else:
+            value, gradient = now.point.value, potential.gradient(q)
+        residual, before = scaled(gradient, now.unit), now.point.residual
+        accepted = residual <= (1.0 - 1e-4 * length) * before
+        if symmetric:
+            slope = potential.slope(now.point.gradient, direction)
+            # Far from the solution a smaller residual alone will not do: where rods touch,
+            # iterations that trade the one for the other may go round in circles. Close to it
+            # the potential says nothing any more, for rounding.
+            close = before <= CLOSE * now.blurred
+            accepted &= close | (value <= now.point.value)
+            accepted |= (slope < 0) & (value <= now.point.value + 1e-4 * length * slope)
+        finite = jnp.isfinite(residual)
+        accepted &= finite
+        solved = accepted & (residual <= settings.tolerance)
+        count = now.iterations + 1
+
+        # The steps that are left if each lowers the residual by as much as this one did. What
+        # the first evaluation, at the guess, has before it says nothing: it needs no new matrix.
+        left = jnp.log(settings.tolerance / residual) / jnp.log(residual / before)
+        lasting = (length == 1.0) & (residual < before) & (left <= potential.chords)
+        first = now.iterations < 0
+        outdated = ~solved & jnp.where(accepted, ~first & ~lasting, ~now.fresh)
+        # Near the solution rounding may leave no step that lowers the residual any further.
+        stalled = before <= 100.0 * settings.tolerance
+        status = jnp.select(
+            [
+                solved,
+                accepted & (count > settings.max_iterations),
+                accepted | outdated | (now.part > shortest),
+                stalled,
+                finite,
+            ],
+            [Status.OK, Status.MAX_ITERATIONS, _SEARCHING, Status.OK, Status.LINE_SEARCH],
+            Status.NON_FINITE,
+        )
+        here = replace(
+            now,
+            point=_Point(q, value, gradient, residual),
+            part=jnp.ones(()),
+            iterations=count,
+            fresh=first,
+        )
+        shorter = replace(now, part=0.5 * now.part)
+        new = jax.tree.map(lambda a, b: jnp.where(accepted, a, b), here, shorter)
+        return replace(new, status=status.astype(jnp.int32), outdated=outdated)
+
+    infinite = jnp.array(jnp.inf, guess.dtype)
+    start = _Search(
+        point=_Point(guess, infinite, jnp.zeros_like(guess), infinite),
+        part=jnp.ones(()),
+        unit=settings.force_scale,
+        blurred=settings.tolerance,
+        iterations=jnp.array(-1, jnp.int32),  # the first evaluation is not a Newton step
+        factorings=jnp.zeros((), jnp.int32),
+        fresh=jnp.array(True),
+        outdated=jnp.array(True),
+        status=jnp.array(_SEARCHING, jnp.int32),
+    )
+    end = lax.while_loop(lambda now: now.status == _SEARCHING, renew, start)
+    iterations = jnp.maximum(end.iterations, 0)
+    last = end.point
+    left = scaled(last.gradient, settings.force_scale)
+    residual = jnp.where(jnp.isinf(last.residual), last.residual, left)
+    return last.q, NewtonInfo(end.status, iterations, end.factorings, residual)
+
+
+@partial(equilibrium.defjvp, symbolic_zeros=True)
+def _equilibrium_jvp(free, primals, tangents):
+    potential, guess, settings = primals
+    d_potential, d_guess, _ = tangents
+    q, info = equilibrium(potential, guess, settings, free)
+    # What a rollout keeps for reverse mode, so that Newton's iterations need not be replayed.
+    q = checkpoint_name(q, "state")
+    info = replace(info, status=checkpoint_name(info.status, "state"))
+    chosen = slice(None) if free is None else np.array(free)
+    # Clamped degrees of freedom follow the guess; the others follow from F = 0.
+    clamped = jnp.zeros_like(q)
+    if free is None:
+        _, d_gradient = push(lambda p: p.gradient(q), (potential,), (d_potential,))
+    else:
+        if not isinstance(d_guess, SymbolicZero):
+            clamped = _insert(d_guess, 0.0, free)
+        _, d_gradient = push(lambda p, y: p.gradient(y), (potential, q), (d_potential, clamped))
+    still, here, unit = lax.stop_gradient((potential, q, settings.force_scale))
+    solver, _ = still.factored(here, jnp.abs(here), unit, free, exact=True)
+
+    def stiffness(x):
+        """The Newton matrix times x: never computed, but what higher derivatives go through."""
+        full = x if free is None else _insert(jnp.zeros_like(q), x, free)
+        return jax.jvp(potential.gradient, (q,), (full,))[1][chosen]
+
+    step = lax.custom_linear_solve(
+        stiffness,
+        -d_gradient[chosen],
+        solve=lambda _, b: solver.solve(b),
+        transpose_solve=lambda _, b: solver.solve_transposed(b),
+        symmetric=False,
+    )
+    dq = step if free is None else _insert(clamped, step, free)
+    none: Any = np.zeros((), jax.dtypes.float0)  # the tangent of an integer
+    return (q, info), (dq, NewtonInfo(none, none, none, jnp.zeros_like(info.residual)))

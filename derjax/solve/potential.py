@@ -1,0 +1,535 @@
+"""The incremental potential of a step, as a sum of contributions of a few simple forms.
+
+Asked for its share at the start of a step, every physical ingredient answers with
+
+- `Elements`: a scalar function of a few degrees of freedom, repeated over many stencils
+  (energies of edges and hinges, local drag); differentiated by JAX;
+- `Pairs`: the same over stencils that are found anew in every step (contact, friction);
+- `Quadratic`: a dense matrix acting on a displacement (hydrodynamic resistance);
+- `Diagonal`: the same with a diagonal matrix (inertia);
+- `Load`: a constant force (gravity, drag evaluated at the old state).
+
+All are a `Contribution`, whose methods are all that solvers know of them; so may be a form of
+your own. The step knows nothing of physics: it finds where the gradient of the sum vanishes.
+"""
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from ..core.pytree import Indices, pytree, static
+from ..core.status import Status
+from .dense import Factor, factor, factor_as_it_is
+
+T = TypeVar("T")
+Dofs = Float[Array, " d"]
+Matrix = Float[Array, "d d"]
+
+
+class LocalPotential(Protocol):
+    """A scalar function (J) of the few degrees of freedom of one element."""
+
+    def __call__(self, local: Array, data: Any) -> Array: ...
+
+    def gradient(self, local: Array, data: Any) -> Array: ...
+
+    def hessian(self, local: Array, data: Any) -> Array: ...
+
+
+class ElementPotential(LocalPotential, Protocol):
+    """One that can be added up with others of its kind before it is differentiated."""
+
+    @classmethod
+    def together(cls, parts: Sequence[tuple[Any, Any]]) -> tuple["ElementPotential", Any]:
+        """One potential, and its data, for the sum of several (potential, data)."""
+        ...
+
+
+class Sum(tuple):
+    """A sum of functions whose last argument is a tuple of data, one for each of them."""
+
+    def __call__(self, *arguments: Any) -> Array:
+        *shared, data = arguments
+        return jnp.asarray(sum(f(*shared, d) for f, d in zip(self, data, strict=True)))
+
+
+@dataclass(frozen=True)
+class Autodiff:
+    """A scalar function with the derivatives that JAX finds."""
+
+    function: Callable[[Array, Any], Array]
+
+    def __call__(self, local: Array, data: Any) -> Array:
+        return self.function(local, data)
+
+    def gradient(self, local: Array, data: Any) -> Array:
+        return jax.grad(self.function)(local, data)
+
+    def hessian(self, local: Array, data: Any) -> Array:
+        return jax.hessian(self.function)(local, data)
+
+    @classmethod
+    def together(cls, parts: Sequence[tuple["Autodiff", Any]]) -> tuple["Autodiff", Any]:
+        return cls(Sum(p.function for p, _ in parts)), tuple(data for _, data in parts)
+
+
+@dataclass(frozen=True)
+class Form:
+    """`1/2 u . A u` of the displacement u = local - origin, for data (origin (k,), A (k, k)).
+
+    What local drag makes of a step: A is its resistance (N s/m) over the length of the step.
+    """
+
+    def __call__(self, local: Array, data: tuple[Array, Array]) -> Array:
+        origin, a = data
+        return 0.5 * (local - origin) @ a @ (local - origin)
+
+    def gradient(self, local: Array, data: tuple[Array, Array]) -> Array:
+        origin, a = data
+        return a @ (local - origin)
+
+    def hessian(self, local: Array, data: tuple[Array, Array]) -> Array:
+        return data[1]
+
+    @classmethod
+    def together(cls, parts: Sequence[tuple["Form", Any]]) -> tuple["Form", Any]:
+        """Every drag of a stage is measured from the same origin."""
+        origin = parts[0][1][0]
+        return cls(), (origin, jnp.asarray(sum(a for _, (_, a) in parts)))
+
+
+def _add_blocks(matrix: Matrix, dofs: Int[Any, "b k"], blocks: Float[Array, "b k k"]) -> Matrix:
+    """With a small matrix added at the degrees of freedom of every element."""
+    return matrix.at[dofs[:, :, None], dofs[:, None, :]].add(blocks)
+
+
+LocalHessians = tuple[tuple[Any, Float[Array, "b k k"]], ...]
+"""Small matrices, each with the degrees of freedom (b, k) that it stands for."""
+
+
+class Guard(Protocol):
+    """What must hold all the way from the start of a step to its end."""
+
+    def reach(self, q: Dofs, direction: Dofs) -> Array:
+        """The part, at most 1, of the way along `direction` that may be gone in one go."""
+        ...
+
+    def fault(self, q: Dofs) -> Array:
+        """What is wrong with a step that ends at `q`: `Status.OK` if nothing is."""
+        ...
+
+
+class Contribution:
+    """A share of the incremental potential: what a solver may ask of it.
+
+    A new form is a pytree that derives from this class and has `value`, `gradient` and
+    `local_hessians`, or `diagonal`, or both: they add up to its second derivative. All solvers
+    take it then.
+
+    Attributes:
+        symmetric: whether the force is the derivative of a potential, `value`.
+        guard: what a solver must not violate on its way; None if there is nothing.
+        scattered: whether the second derivative is made of many small matrices.
+    """
+
+    symmetric: bool = True
+    guard: Guard | None = None
+    scattered: ClassVar[bool] = False
+
+    def value(self, q: Dofs) -> Array:
+        """J."""
+        raise NotImplementedError(f"{type(self).__name__} has no value")
+
+    def gradient(self, q: Dofs) -> Dofs:
+        """The derivative of `value` (N and N m): minus the force."""
+        raise NotImplementedError(f"{type(self).__name__} has no gradient")
+
+    def value_and_gradient(self, q: Dofs) -> tuple[Array, Dofs]:
+        """Both at once."""
+        return self.value(q), self.gradient(q)
+
+    def local_hessians(self, q: Dofs) -> LocalHessians:
+        """The second derivative (N/m and so on), but for `diagonal`, as small matrices."""
+        raise NotImplementedError(f"{type(self).__name__} has no second derivative")
+
+    def diagonal(self, q: Dofs) -> Dofs:
+        """What else there is on the diagonal of the second derivative."""
+        return jnp.zeros_like(q)
+
+    def add_hessian(self, matrix: Matrix, q: Dofs) -> Matrix:
+        """A dense matrix with the second derivative added."""
+        for dofs, blocks in self.local_hessians(q):
+            matrix = _add_blocks(matrix, dofs, blocks)
+        return matrix + jnp.diag(self.diagonal(q))
+
+    @property
+    def kind(self) -> Hashable:
+        """What contributions share that can be `joined` into one; None if none can."""
+        return None
+
+    @classmethod
+    def joined(cls, parts: Sequence[Any]) -> "Contribution":
+        """The sum of contributions of one `kind` as one of them."""
+        raise NotImplementedError(f"{cls.__name__} cannot be joined")
+
+
+@pytree
+class Elements(Contribution):
+    """`sum_b potential(q[dofs[b]], data[b])`.
+
+    Attributes:
+        dofs: (b, k) degrees of freedom that each element sees.
+        potential: `(local (k,), data) -> scalar` in J, with its derivatives.
+        data: pytree of arrays with leading axis b.
+    """
+
+    dofs: Indices = static()
+    potential: ElementPotential = static()
+    data: Any
+
+    scattered: ClassVar[bool] = True
+
+    def value(self, q: Dofs) -> Array:
+        return jnp.sum(jax.vmap(self.potential)(q[self.dofs.array], self.data))
+
+    def gradient(self, q: Dofs) -> Dofs:
+        local = jax.vmap(self.potential.gradient)(q[self.dofs.array], self.data)
+        return jnp.zeros_like(q).at[self.dofs.array].add(local)
+
+    def local_hessians(self, q: Dofs) -> LocalHessians:
+        """Of every element."""
+        blocks = jax.vmap(self.potential.hessian)(q[self.dofs.array], self.data)
+        return ((self.dofs.array, blocks),)
+
+    def add_hessian(self, matrix: Matrix, q: Dofs) -> Matrix:
+        ((dofs, blocks),) = self.local_hessians(q)
+        return _add_blocks(matrix, dofs, blocks)
+
+    @property
+    def kind(self) -> Hashable:
+        """Elements on one stencil are differentiated together."""
+        return self.dofs, type(self.potential)
+
+    @classmethod
+    def joined(cls, parts: Sequence["Elements"]) -> "Elements":
+        first = parts[0]
+        together = type(first.potential).together([(e.potential, e.data) for e in parts])
+        return cls(first.dofs, *together)
+
+
+@pytree
+class Pairs(Contribution):
+    """`sum_b potential(q[dofs[b]], data[b])` over those b that are `taken`.
+
+    Like `Elements`, but what interacts is a result of the computation: a list of fixed length,
+    not all of whose places are taken. Nothing is computed while none is.
+
+    Attributes:
+        dofs: (b, k) degrees of freedom that each element sees.
+        taken: (b,) which places of the list are in use.
+        potential: `(local (k,), data) -> scalar` in J, with its derivatives.
+        data: pytree of arrays with leading axis b.
+        guard: what the solver must not violate on its way; None if there is nothing.
+    """
+
+    dofs: Int[Array, "b k"]
+    taken: Bool[Array, " b"]
+    potential: LocalPotential = static()
+    data: Any
+    guard: Guard | None = None
+
+    scattered: ClassVar[bool] = True
+
+    def _each(self, q: Dofs, function: Callable[[Array, Any], T]) -> T:
+        """(b, ...) the elements' `function`, zero in places that are not taken."""
+
+        def only_taken(local: Array) -> Array:
+            return jnp.where(self.taken.reshape(-1, *([1] * (local.ndim - 1))), local, 0.0)
+
+        return jax.tree.map(only_taken, jax.vmap(function)(q[self.dofs], self.data))
+
+    def _if_any(self, compute: Callable[[], T], nothing: T) -> T:
+        return lax.cond(jnp.any(self.taken), compute, lambda: nothing)
+
+    def value(self, q: Dofs) -> Array:
+        return self._if_any(lambda: jnp.sum(self._each(q, self.potential)), jnp.zeros(()))
+
+    def gradient(self, q: Dofs) -> Dofs:
+        zero = jnp.zeros_like(q)
+        return self._if_any(
+            lambda: zero.at[self.dofs].add(self._each(q, self.potential.gradient)), zero
+        )
+
+    def value_and_gradient(self, q: Dofs) -> tuple[Array, Dofs]:
+        zero = jnp.zeros_like(q)
+
+        def both() -> tuple[Array, Dofs]:
+            value, local = self._each(
+                q, lambda x, data: (self.potential(x, data), self.potential.gradient(x, data))
+            )
+            return jnp.sum(value), zero.at[self.dofs].add(local)
+
+        return self._if_any(both, (jnp.zeros(()), zero))
+
+    def local_hessians(self, q: Dofs) -> LocalHessians:
+        """Of every place of the list."""
+        size = self.dofs.shape[1]
+        nothing = jnp.zeros((len(self.dofs), size, size))
+        blocks = self._if_any(lambda: self._each(q, self.potential.hessian), nothing)
+        return ((self.dofs, blocks),)
+
+    def add_hessian(self, matrix: Matrix, q: Dofs) -> Matrix:
+        return self._if_any(
+            lambda: _add_blocks(matrix, self.dofs, self._each(q, self.potential.hessian)), matrix
+        )
+
+
+class Operator(Protocol):
+    """A linear map of displacements to forces (N/m)."""
+
+    def matrix(self) -> Float[Array, "m m"]:
+        """The map as a matrix; its derivatives are never taken."""
+        ...
+
+    def apply(self, displacement: Float[Array, " m"]) -> Float[Array, " m"]:
+        """The force for a displacement, differentiable in everything that it depends on."""
+        ...
+
+
+@pytree
+class Quadratic(Contribution):
+    """`1/2 u^T operator u` of the displacement u = q - origin of some degrees of freedom.
+
+    With `symmetric=False` there is no potential, only the force `operator u`, and the line
+    search goes by the residual.
+
+    Attributes:
+        dofs: (m,) degrees of freedom the operator acts on.
+        operator: N/m.
+        origin: (d,) m and rad.
+    """
+
+    dofs: Indices = static()
+    symmetric: bool = static()
+    operator: Operator
+    origin: Dofs
+
+    def value(self, q: Dofs) -> Array:
+        local = (q - self.origin)[self.dofs.array]
+        return 0.5 * local @ self.operator.apply(local)
+
+    def gradient(self, q: Dofs) -> Dofs:
+        local = (q - self.origin)[self.dofs.array]
+        return jnp.zeros_like(q).at[self.dofs.array].add(self.operator.apply(local))
+
+    def local_hessians(self, q: Dofs) -> LocalHessians:
+        """One element that sees all the degrees of freedom."""
+        return ((self.dofs.array[None], self.operator.matrix()[None]),)
+
+    def add_hessian(self, matrix: Matrix, q: Dofs) -> Matrix:
+        dofs, block = self.dofs.array, self.operator.matrix()
+        first, size = int(dofs[0]), len(dofs)
+        if np.array_equal(dofs, first + np.arange(size)):  # quicker than a scatter
+            rest = (first, q.size - first - size)
+            return matrix + jnp.pad(block, (rest, rest))
+        return matrix.at[dofs[:, None], dofs[None, :]].add(block)
+
+
+@pytree
+class Diagonal(Contribution):
+    """`1/2 sum_i weight_i (q_i - origin_i)^2`.
+
+    Attributes:
+        weight: (d,) N/m and N m.
+        origin: (d,) m and rad.
+    """
+
+    weight: Dofs
+    origin: Dofs
+
+    def value(self, q: Dofs) -> Array:
+        return 0.5 * jnp.sum(self.weight * (q - self.origin) ** 2)
+
+    def gradient(self, q: Dofs) -> Dofs:
+        return self.weight * (q - self.origin)
+
+    def local_hessians(self, q: Dofs) -> LocalHessians:
+        return ()
+
+    def diagonal(self, q: Dofs) -> Dofs:
+        return self.weight
+
+
+@pytree
+class Load(Contribution):
+    """`-force . q`: a force that does not change during the step.
+
+    Attributes:
+        force: (d,) N and N m.
+    """
+
+    force: Dofs
+
+    def value(self, q: Dofs) -> Array:
+        return -self.force @ q
+
+    def gradient(self, q: Dofs) -> Dofs:
+        return -self.force
+
+    def local_hessians(self, q: Dofs) -> LocalHessians:
+        return ()
+
+    def add_hessian(self, matrix: Matrix, q: Dofs) -> Matrix:
+        return matrix
+
+
+class ForceLaw(Protocol):
+    """A symmetric linear map of forces on wet nodes (N) to their velocities (m/s)."""
+
+    @property
+    def resistance(self) -> Float[Array, "b k k"]:
+        """Of every block as if it were alone, N s/m."""
+        ...
+
+    @property
+    def coarse(self) -> "ForceLaw":
+        """Nearly the same map, and quicker: good enough for Newton's directions."""
+        ...
+
+    def apply(self, force: Float[Array, " m"]) -> Float[Array, " m"]:
+        """The velocities for forces, differentiable in everything that they depend on."""
+        ...
+
+    def resist(self, velocity: Float[Array, " m"]) -> Float[Array, " m"]:
+        """Roughly the forces for velocities, those of every block as if it were alone."""
+        ...
+
+
+@pytree
+class Mobility:
+    """Drag known by what forces do: the displacement u = q - origin is `time law(force)`.
+
+    It is no `Contribution`, but stands beside the potential that those make. For `Quadratic` the
+    law would have to be inverted, which large robots cannot afford. The forces are unknowns of
+    their own; see `saddle`.
+
+    Attributes:
+        dofs: (m,) the degrees of freedom that are dragged.
+        law: of force to velocity.
+        origin: (d,) m and rad.
+        time: s.
+    """
+
+    dofs: Indices = static()
+    law: ForceLaw
+    origin: Dofs
+    time: Float[Array, ""]
+
+
+@pytree
+class Potential:
+    """The sum of the contributions to one step."""
+
+    contributions: tuple[Contribution, ...]
+
+    chords = 8
+    """Steps that one may still have to take with a matrix that is out of date: more of them, at
+    the rate at which the residual falls, cost more than a new matrix."""
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether every contribution derives from a potential."""
+        return all(c.symmetric for c in self.contributions)
+
+    @property
+    def guards(self) -> tuple[Guard, ...]:
+        """The guards of all contributions."""
+        return tuple(c.guard for c in self.contributions if c.guard is not None)
+
+    def reach(self, q: Dofs, direction: Dofs) -> Array:
+        """The part, at most 1, of the way along `direction` that all guards allow."""
+        return jnp.min(jnp.stack([jnp.ones(()), *(g.reach(q, direction) for g in self.guards)]))
+
+    def fault(self, q: Dofs) -> Array:
+        """The first fault that a guard finds with a step that ends at `q`."""
+        status = jnp.array(Status.OK, jnp.int32)
+        for guard in self.guards:
+            status = jnp.where(status == Status.OK, guard.fault(q), status)
+        return status
+
+    def value(self, q: Dofs) -> Array:
+        return jnp.asarray(sum(c.value(q) for c in self.contributions))
+
+    def gradient(self, q: Dofs) -> Dofs:
+        return jnp.asarray(sum(c.gradient(q) for c in self.contributions))
+
+    def value_and_gradient(self, q: Dofs) -> tuple[Array, Dofs]:
+        """Both at once, which saves finding again where pairs meet."""
+        parts = [c.value_and_gradient(q) for c in self.contributions]
+        return jnp.asarray(sum(v for v, _ in parts)), jnp.asarray(sum(g for _, g in parts))
+
+    def slope(self, gradient: Dofs, direction: Dofs) -> Array:
+        """By how much the value changes along a direction."""
+        return gradient @ direction
+
+    def local_hessians(self, q: Dofs) -> LocalHessians:
+        """The second derivative, but for `diagonal`, as small matrices."""
+        return tuple(part for c in self.contributions for part in c.local_hessians(q))
+
+    def diagonal(self, q: Dofs) -> Dofs:
+        """What else there is on the diagonal of the second derivative."""
+        return jnp.asarray(sum(c.diagonal(q) for c in self.contributions))
+
+    def hessian(self, q: Dofs) -> Matrix:
+        """The second derivative as one dense matrix."""
+        matrix = jnp.zeros((q.size, q.size), q.dtype)
+        # Whole matrices first: what adds blocks after them can do it in place.
+        for c in sorted(self.contributions, key=lambda c: c.scattered):
+            matrix = c.add_hessian(matrix, q)
+        return matrix
+
+    def factored(
+        self, q: Dofs, sizes: Dofs, unit: Dofs, free: tuple[int, ...] | None, exact: bool
+    ) -> tuple[Factor, Dofs]:
+        """What solves with the Newton matrix of the free degrees of freedom at q, and the forces
+        (d,) that rounding numbers of some sizes (m and rad) makes, in units of the rounding.
+
+        Forces and torques are measured in `unit` (N, N m). If `exact`, nothing is added to the
+        matrix of what is not stable.
+        """
+        matrix = self.hessian(q)
+        rounding = jnp.abs(matrix) @ sizes
+        chosen = slice(None) if free is None else np.array(free)
+        inner = matrix[chosen][:, chosen]
+        if exact:
+            return factor_as_it_is(inner, self.symmetric), rounding
+        return factor(inner, self.symmetric, unit[chosen]), rounding
+
+
+def gather(contributions: Sequence[Contribution]) -> Potential:
+    """The potential of a step; contributions of one kind are joined.
+
+    Raises:
+        TypeError: something that is no contribution.
+    """
+    merged: list[Contribution] = []
+    groups: dict[Hashable, list[Contribution]] = {}
+    for contribution in contributions:
+        if not isinstance(contribution, Contribution):
+            raise TypeError(
+                f"a {type(contribution).__name__} is no share of a potential: that is a Load, "
+                "Elements, Pairs, a Quadratic, a Diagonal, or what derives from Contribution"
+            )
+        if contribution.kind is None:
+            merged.append(contribution)
+        else:
+            groups.setdefault(contribution.kind, []).append(contribution)
+    for group in groups.values():
+        merged += [type(group[0]).joined(group)] if len(group) > 1 else group
+    return Potential(tuple(merged))

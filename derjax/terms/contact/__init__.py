@@ -1,0 +1,1 @@
+"""What keeps rods apart, and the friction between them."""

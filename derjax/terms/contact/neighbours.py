@@ -1,0 +1,245 @@
+"""Which pairs of edges come close: found anew at the start of every step.
+
+The edges of large robots are looked through in groups of some in a row first, each in a sphere.
+"""
+
+from functools import lru_cache
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from ...core.pytree import Indices, pytree, static
+from ...core.status import Status
+from ...rods.rod import Rod, State, Topology, positions
+from ...solve.potential import Dofs
+from .segments import distance
+
+PENETRATION = 0.01
+"""The part of their diameter by which rods may penetrate each other at the end of a step."""
+
+MANY = 20_000
+"""Pairs from which on edges are looked through in groups."""
+
+GROUP = 8
+"""Edges of a group."""
+
+CLOSE_GROUPS = 16
+"""Pairs of groups, per group, that are looked at for rods that overlap."""
+
+
+def pairs_apart(topology: Topology, rest_length: np.ndarray, gap: float) -> Indices:
+    """(p, 2): all pairs of edges with more than `gap` (m) of rod between them.
+
+    Edges of different rods, or on different sides of a clamped base, have no rod between them.
+    """
+    n_edges = topology.n_edges
+    between = np.full((n_edges, n_edges), np.inf)
+    np.fill_diagonal(between, 0.0)
+    neighbours: list[set[int]] = [set() for _ in range(n_edges)]
+    at_node: dict[int, list[int]] = {}
+    for edge, ends in enumerate(topology.edges):
+        for node in ends:
+            at_node.setdefault(node, []).append(edge)
+    for edges in at_node.values():
+        for edge in edges:
+            neighbours[edge] |= set(edges) - {edge}
+    for start in range(n_edges):
+        pending = [(other, 0.0) for other in neighbours[start]]
+        while pending:
+            edge, gone = pending.pop()
+            if gone >= between[start, edge] or gone > gap:
+                continue
+            between[start, edge] = gone
+            pending += [(other, gone + rest_length[edge]) for other in neighbours[edge]]
+    first, second = np.triu_indices(n_edges, k=1)
+    far = between[first, second] > gap
+    return Indices(np.stack([first[far], second[far]], axis=1))
+
+
+@lru_cache(maxsize=8)
+def _grouped(n_edges: int, pairs: Indices) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The edges (g, 8) of every group, -1 where there is none; the pairs (c, 2) of groups; and
+    the edges (e, k) that every edge cannot touch, itself included."""
+    groups = np.full(-(-n_edges // GROUP) * GROUP, -1, dtype=np.int32)
+    groups[:n_edges] = np.arange(n_edges)
+    groups = groups.reshape(-1, GROUP)
+    barred = np.ones((n_edges, n_edges), bool)
+    barred[pairs.array[:, 0], pairs.array[:, 1]] = False
+    barred &= barred.T
+    partners = np.full((n_edges, int(barred.sum(axis=1).max())), -1, dtype=np.int32)
+    for edge, row in enumerate(barred):
+        found = np.flatnonzero(row)
+        partners[edge, : len(found)] = found
+    return groups, np.stack(np.triu_indices(len(groups)), axis=1).astype(np.int32), partners
+
+
+def _candidates(
+    topology: Topology, x: Float[Array, "n 3"], pairs: Indices, reach: Array, most: int | None
+) -> tuple[Int[Array, "c 2"], Bool[Array, " c"], Bool[Array, ""]]:
+    """Pairs of edges that hold all those closer than `reach` (m), which of them count, and
+    whether there were more than could be looked at: that is `most` pairs of groups."""
+    if len(pairs.array) <= MANY:
+        return jnp.asarray(pairs.array), jnp.ones(len(pairs.array), bool), jnp.array(False)
+    groups, couples, partners = _grouped(topology.n_edges, pairs)
+    there = groups >= 0
+    ends = x[topology.edge_nodes[groups]].reshape(len(groups), -1, 3)
+    known = jnp.asarray(np.repeat(there, 2, axis=1))[..., None]
+    centre = jnp.sum(jnp.where(known, ends, 0.0), axis=1) / jnp.sum(known, axis=1)
+    away = jnp.where(known, (ends - centre[:, None]) ** 2, 0.0)
+    radius = jnp.sqrt(jnp.max(jnp.sum(away, axis=-1), axis=1))
+    first, second = couples.T
+    apart = jnp.sqrt(jnp.sum((centre[first] - centre[second]) ** 2, axis=-1))
+    near = apart < radius[first] + radius[second] + reach
+    size = min(CLOSE_GROUPS * len(groups) if most is None else most, len(couples))
+    (chosen,) = jnp.nonzero(near, size=size, fill_value=0)
+    looked_at = jnp.arange(size) < jnp.sum(near)
+    one, other = (jnp.asarray(groups)[jnp.asarray(couples)[chosen, k]] for k in (0, 1))
+    shape = (size, GROUP, GROUP)
+    i = jnp.broadcast_to(one[:, :, None], shape)
+    j = jnp.broadcast_to(other[:, None, :], shape)
+    barred = jnp.any(jnp.asarray(partners)[i] == j[..., None], axis=-1)
+    counts = looked_at[:, None, None] & (i >= 0) & (j >= 0) & (i < j) & ~barred
+    edges = jnp.maximum(jnp.stack([i.ravel(), j.ravel()], axis=1), 0)
+    return edges, counts.ravel(), jnp.sum(near) > size
+
+
+def _nodes_of(topology: Topology, edges: Int[Array, "c 2"]) -> Int[Array, "c 4"]:
+    """Start and end of both edges."""
+    return jnp.asarray(topology.edge_nodes)[edges].reshape(-1, 4)
+
+
+def _nearest(
+    topology: Topology, x: Float[Array, "n 3"], pairs: Indices, diameter: Array
+) -> Float[Array, ""]:
+    """The smallest distance (m) of two edges that can touch, if it is less than a diameter."""
+    edges, counts, _ = _candidates(topology, x, pairs, diameter, None)
+    return jnp.min(jnp.where(counts, distance(x[_nodes_of(topology, edges)]), jnp.inf))
+
+
+def closest(
+    topology: Topology,
+    x: Float[Array, "n 3"],
+    pairs: Indices,
+    reach: Array,
+    capacity: int,
+) -> tuple[Int[Array, "k 2"], Int[Array, ""]]:
+    """The pairs of edges that are closer than `reach` (m), and how many there are.
+
+    More than `capacity` of them if there are too many to find them all.
+    """
+    edges, counts, overflow = _candidates(topology, x, pairs, reach, capacity)
+    close = counts & (distance(x[_nodes_of(topology, edges)]) < reach)
+    (chosen,) = jnp.nonzero(close, size=capacity, fill_value=0)
+    return edges[chosen], jnp.where(overflow, capacity + 1, jnp.sum(close))
+
+
+@pytree
+class Neighbours:
+    """The pairs of edges that may touch during a step.
+
+    Attributes:
+        edges: (k, 2) of each pair.
+        nodes: (k, 4) start and end of both edges.
+        taken: (k,) which places of the list are in use.
+        found: how many pairs came close, more than k if the list was too short.
+        topology: of the rod.
+        pairs: (p, 2) all edges that could ever touch.
+        start: (n, 3) m, where the nodes were.
+        diameter: m, of the rod.
+        skin: m, how far beyond the diameter the search went.
+    """
+
+    edges: Int[Array, "k 2"]
+    nodes: Int[Array, "k 4"]
+    taken: Bool[Array, " k"]
+    found: Int[Array, ""]
+    topology: Topology = static()
+    pairs: Indices = static()
+    start: Float[Array, "n 3"]
+    diameter: Float[Array, ""]
+    skin: Float[Array, ""]
+
+    def _distances(self, x: Float[Array, "n 3"]) -> Float[Array, " k"]:
+        return jnp.where(self.taken, distance(x[self.nodes]), jnp.inf)
+
+    def reach(self, q: Dofs, direction: Dofs) -> Array:
+        """How much of `direction` no pair can get through each other within.
+
+        In one go the two edges of a pair may approach by half of their distance at most, and
+        no node may go farther than the search went.
+        """
+
+        def of_the_nearest() -> Array:
+            x, move = (lax.stop_gradient(self._nodes(v)) for v in (q, direction))
+            speed = jnp.sqrt(jnp.sum(move * move, axis=1))
+            size = speed[self.nodes]
+            approach = jnp.maximum(size[:, 0], size[:, 1]) + jnp.maximum(size[:, 2], size[:, 3])
+            room = 0.5 * self._distances(x)
+            part = jnp.min(jnp.where(approach > room, room / approach, 1.0), initial=1.0)
+            farthest = jnp.max(speed)
+            return jnp.where(part * farthest > self.skin, self.skin / farthest, part)
+
+        return lax.cond(self.found > 0, of_the_nearest, lambda: jnp.ones(()))
+
+    def fault(self, q: Dofs) -> Array:
+        """Whether the list was too short, or a step that ends at `q` cannot be accepted."""
+        x = self._nodes(q)
+        moved = jnp.sqrt(jnp.max(jnp.sum((x - self.start) ** 2, axis=1)))
+        nearest = lax.cond(
+            2.0 * moved > self.skin,  # then pairs that were not listed may touch
+            lambda: _nearest(self.topology, x, self.pairs, self.diameter),
+            lambda: jnp.min(self._distances(x)),
+        )
+        return jnp.select(
+            [
+                self.found > len(self.nodes),
+                2.0 * moved > self.skin + self.diameter,
+                nearest < (1.0 - PENETRATION) * self.diameter,
+            ],
+            [Status.CAPACITY, Status.TOO_FAST, Status.PENETRATION],
+            Status.OK,
+        ).astype(jnp.int32)
+
+    def _nodes(self, q: Dofs) -> Float[Array, "n 3"]:
+        return q[: self.start.size].reshape(self.start.shape)
+
+
+def search(
+    rod: Rod,
+    state: State,
+    move: Dofs,
+    pairs: Indices,
+    diameter: Array,
+    capacity: int,
+) -> Neighbours:
+    """The pairs of edges that are closer than their diameter and a skin.
+
+    The skin allows every node to go a quarter farther than `move` would take the fastest, and
+    an eighth of the diameter in any case. A step that goes farther has all pairs checked.
+
+    Args:
+        rod: whose edges.
+        state: at the start of the step.
+        move: (d,) how far the step is expected to go, m.
+        pairs: (p, 2) the edges that may touch.
+        diameter: m.
+        capacity: places of the list.
+    """
+    topology = rod.topology
+    x = lax.stop_gradient(positions(topology, state.q))
+    moves = lax.stop_gradient(positions(topology, move))
+    skin = 2.5 * jnp.sqrt(jnp.max(jnp.sum(moves * moves, axis=1))) + 0.25 * diameter
+    edges, found = closest(topology, x, pairs, diameter + skin, capacity)
+    return Neighbours(
+        edges=edges,
+        nodes=_nodes_of(topology, edges),
+        taken=jnp.arange(capacity) < found,
+        found=found,
+        topology=topology,
+        pairs=pairs,
+        start=x,
+        diameter=lax.stop_gradient(diameter),
+        skin=lax.stop_gradient(skin),
+    )

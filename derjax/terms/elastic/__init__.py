@@ -1,0 +1,1 @@
+"""Elastic energies: stretching, bending and twisting."""

@@ -1,0 +1,1 @@
+"""What the fluid does: drag on flagella and heads."""
