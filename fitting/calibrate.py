@@ -16,11 +16,11 @@ from .causes import Cause, likely_causes
 from .conclusion import Conclusion, judge
 from .explore import NEARLY, Exploration, distinct, explore, without
 from .goodness import Goodness
-from .levenberg import Iteration, Optimum, Trial, minimise
+from .levenberg import Evaluation, Iteration, Optimum, minimise
 from .model import Model
 from .outcome import Fit, Progress
 from .plausible import runaway, unlikely
-from .simulate import Simulated
+from .simulate import SimulatedTrack
 from .tracks import Dataset
 from .transforms import Parameters, choose
 from .uncertainty import Residuals
@@ -86,7 +86,7 @@ def calibrate(
 
     exploration = _explored(clock, free) if explored else None
     if exploration is not None and _is_final(model, exploration):
-        optima: tuple[Optimum[list[Simulated]], ...] = exploration.optima
+        optima: tuple[Optimum[list[SimulatedTrack]], ...] = exploration.optima
     else:
         optima = _fits(clock, free, exploration, max_iterations, tolerance)
     judged = judge(model, optima[0])
@@ -145,7 +145,7 @@ def _fits(
     exploration: Exploration | None,
     max_iterations: int,
     tolerance: float,
-) -> tuple[Optimum[list[Simulated]], ...]:
+) -> tuple[Optimum[list[SimulatedTrack]], ...]:
     """Optima of whole simulations, best first; after Ctrl-C the best so far alone."""
     starts, fallback = [(free, np.zeros(len(free), bool))], None
     if exploration is not None:
@@ -156,7 +156,7 @@ def _fits(
             for o in near[:MOST_FITS]
         ]
         fallback = exploration.optima[0]
-    found: list[Optimum[list[Simulated]]] = []
+    found: list[Optimum[list[SimulatedTrack]]] = []
 
     clock.begin("fit")
     for start, fixed in starts:
@@ -184,7 +184,9 @@ def _fits(
     return distinct(found)
 
 
-def _with_fixed(clock: "_Clock", fixed: np.ndarray, free: Free) -> Trial[list[Simulated]] | None:
+def _with_fixed(
+    clock: "_Clock", fixed: np.ndarray, free: Free
+) -> Evaluation[list[SimulatedTrack]] | None:
     """Whole simulations, without derivatives along some parameters."""
     trial = clock.whole(free)
     return None if trial is None else without(trial, fixed)
@@ -196,8 +198,8 @@ def _is_lost(start: Free, fixed: np.ndarray, free: Free, residuals: Residuals) -
 
 
 def _checked(
-    clock: "_Clock", free: Free, optima: tuple[Optimum[list[Simulated]], ...], judged: Goodness
-) -> tuple[tuple[Optimum[list[Simulated]], ...], tuple[Cause, ...] | None]:
+    clock: "_Clock", free: Free, optima: tuple[Optimum[list[SimulatedTrack]], ...], judged: Goodness
+) -> tuple[tuple[Optimum[list[SimulatedTrack]], ...], tuple[Cause, ...] | None]:
     """Likely causes of a bad fit; after Ctrl-C none, and the fit is an interrupted one.
 
     A search that has not come to its end may be bad for that reason alone.
@@ -232,7 +234,7 @@ class _Clock:
         """The evaluations that follow belong to this stage."""
         self.stage, self.iteration = stage, -1
 
-    def preview(self, free: Free) -> Trial[list[Simulated]] | None:
+    def preview(self, free: Free) -> Evaluation[list[SimulatedTrack]] | None:
         """`Model.preview`, counted."""
         self.iteration += 1
         self.previews += 1
@@ -241,7 +243,7 @@ class _Clock:
             self.preview_steps = max(len(one.time) for one in trial.model) * len(trial.model)
         return trial
 
-    def whole(self, free: Free) -> Trial[list[Simulated]] | None:
+    def whole(self, free: Free) -> Evaluation[list[SimulatedTrack]] | None:
         """`Model.whole`, counted."""
         self.iteration += 1
         self.simulations += 1

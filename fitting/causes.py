@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Array, Float
 
-from .levenberg import Optimum, Trial, minimise
+from .levenberg import Evaluation, Optimum, minimise
 from .model import Model, predict
 from .observe import ANGLE, CHANNELS
 from .residuals import fitted_drift
-from .simulate import Simulated
+from .simulate import SimulatedTrack
 from .tracks import Run
 from .uncertainty import linear_fit, shifted
 
@@ -58,7 +58,9 @@ class _Hypothesis:
     reversed_motor: bool = False
 
 
-def likely_causes(model: Model, start: Free, best: Optimum[list[Simulated]]) -> tuple[Cause, ...]:
+def likely_causes(
+    model: Model, start: Free, best: Optimum[list[SimulatedTrack]]
+) -> tuple[Cause, ...]:
     """Causes with which the fit would be much better, best first.
 
     Args:
@@ -136,10 +138,10 @@ def _reversed(run: Run, channels: Sequence[int]) -> Run:
 
 def _search(
     model: Model, runs: Sequence[Run], points: Sequence[Free]
-) -> Optimum[list[Simulated]] | None:
+) -> Optimum[list[SimulatedTrack]] | None:
     """The best parameters for some tracks, from the more promising of several points."""
 
-    def evaluate(free: Free) -> Trial[list[Simulated]] | None:
+    def evaluate(free: Free) -> Evaluation[list[SimulatedTrack]] | None:
         return model.preview(free, runs)
 
     promises = []
@@ -166,7 +168,7 @@ def _tried(
     model: Model,
     hypothesis: _Hypothesis,
     points: Sequence[Free],
-    best: Optimum[list[Simulated]],
+    best: Optimum[list[SimulatedTrack]],
 ) -> list[Cause]:
     """The cause that a hypothesis is, if the fit with it is much better."""
     found = _search(model, hypothesis.runs, points)
@@ -189,7 +191,7 @@ def _tried(
     return [Cause(sentence, gain)]
 
 
-def _drift(model: Model, runs: Sequence[Run], found: Optimum[list[Simulated]]) -> str:
+def _drift(model: Model, runs: Sequence[Run], found: Optimum[list[SimulatedTrack]]) -> str:
     """The drift of the first run in words, if it has one."""
     drift = fitted_drift(
         runs[0], predict(runs[0], found.trial.model[0], model.step, model.periods[0])
@@ -200,7 +202,9 @@ def _drift(model: Model, runs: Sequence[Run], found: Optimum[list[Simulated]]) -
     return f" ({parts})"
 
 
-def _scale(model: Model, points: Sequence[Free], best: Optimum[list[Simulated]]) -> list[Cause]:
+def _scale(
+    model: Model, points: Sequence[Free], best: Optimum[list[SimulatedTrack]]
+) -> list[Cause]:
     """Whether the tracks are in another unit of length.
 
     The factor is the one that makes displacements those of the simulation with the parameters of
@@ -229,7 +233,7 @@ def _scale(model: Model, points: Sequence[Free], best: Optimum[list[Simulated]])
     return _tried(model, hypothesis, points[-1:], best)
 
 
-def _factor(model: Model, runs: Sequence[Run], simulated: Sequence[Simulated]) -> float:
+def _factor(model: Model, runs: Sequence[Run], simulated: Sequence[SimulatedTrack]) -> float:
     """By what displacements of tracks are multiplied to be most like those of the simulation."""
     products = []
     for run, one, period in zip(runs, simulated, model.periods, strict=True):

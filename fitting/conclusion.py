@@ -13,7 +13,7 @@ from .model import Model, predict
 from .outcome import Alternative, Estimate, Fit, RunFit
 from .plausible import course, implausible, runaway, unlikely
 from .residuals import fitted_drift, run_residuals
-from .simulate import Simulated
+from .simulate import SimulatedTrack
 from .tracks import robot_length
 from .uncertainty import Uncertainty, uncertainty
 
@@ -30,7 +30,7 @@ CONTRADICTION = (
 """What is said of a parameter with which the loss falls for ever."""
 
 
-def judge(model: Model, best: Optimum[list[Simulated]]) -> Goodness:
+def judge(model: Model, best: Optimum[list[SimulatedTrack]]) -> Goodness:
     """What the residuals at the best fit say of it."""
     runs = model.dataset.runs
     values = [
@@ -56,12 +56,12 @@ class Conclusion:
     model: Model
     start: dict[str, float]
     exploration: Exploration | None
-    optima: tuple[Optimum[list[Simulated]], ...]
+    optima: tuple[Optimum[list[SimulatedTrack]], ...]
     goodness: Goodness
     causes: tuple[Cause, ...] | None
 
     @property
-    def best(self) -> Optimum[list[Simulated]]:
+    def best(self) -> Optimum[list[SimulatedTrack]]:
         return self.optima[0]
 
     @property
@@ -76,7 +76,7 @@ class Conclusion:
         return tuple(found)
 
     def fit(
-        self, before: list[Simulated] | None, previews: int, simulations: int, wall_time: float
+        self, before: list[SimulatedTrack] | None, previews: int, simulations: int, wall_time: float
     ) -> Fit:
         """The outcome."""
         residuals = self.best.trial.residuals
@@ -258,7 +258,7 @@ class Conclusion:
             said.append(f"{falls}. The tracks only say that {name} is {which} {end:.3g}.{but}")
         return said
 
-    def runs(self, before: list[Simulated] | None) -> list[RunFit]:
+    def runs(self, before: list[SimulatedTrack] | None) -> list[RunFit]:
         """What has become of every run."""
         model, fits = self.model, []
         for i, (run, after) in enumerate(

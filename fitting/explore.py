@@ -33,13 +33,13 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from .levenberg import Iteration, Optimum, Trial, damped_step, minimise
+from .levenberg import Evaluation, Iteration, Optimum, damped_step, minimise
 from .plausible import FARTHEST, runaway
 from .uncertainty import Residuals, shifted
 
 T = TypeVar("T")
 Free = Float[np.ndarray, " p"]
-Evaluate = Callable[[Free], Trial[T] | None]
+Evaluate = Callable[[Free], Evaluation[T] | None]
 
 REACH = float(np.log(6.0))
 """How far a walk goes beyond start and optimum, in a free parameter."""
@@ -180,7 +180,7 @@ class _Search:
         """The lowest optimum known."""
         return min(self.optima, key=lambda o: o.loss)
 
-    def evaluate(self, free: Free) -> Trial | None:
+    def evaluate(self, free: Free) -> Evaluation | None:
         """The model, without derivatives along parameters that are held."""
         trial = self._evaluate(free)
         return None if trial is None else without(trial, self.held)
@@ -279,7 +279,7 @@ class _Search:
         )
 
 
-def without(trial: Trial[T], held: np.ndarray | Sequence[bool]) -> Trial[T]:
+def without(trial: Evaluation[T], held: np.ndarray | Sequence[bool]) -> Evaluation[T]:
     """A trial without derivatives along parameters that are held."""
     if not np.any(held):
         return trial
@@ -362,7 +362,7 @@ def _follow(residuals: Residuals, k: int) -> Free:
     return direction
 
 
-def _settled(free: Free, trial: Trial, k: int) -> tuple[Free, Point]:
+def _settled(free: Free, trial: Evaluation, k: int) -> tuple[Free, Point]:
     """The step of the others to their optimum beside parameter k, and the point there."""
     others = np.arange(len(free)) != k
     if not others.any():
@@ -391,7 +391,7 @@ def _is_simple(evaluate: Evaluate[T], best: Optimum[T], k: int) -> bool:
 def _walk(
     evaluate: Evaluate[T],
     start: Free,
-    begin: Trial[T],
+    begin: Evaluation[T],
     k: int,
     ends: Float[np.ndarray, "2"],
     unit: Residuals,

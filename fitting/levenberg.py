@@ -17,7 +17,7 @@ LONGEST_STEP = 2.0
 
 
 @dataclass(frozen=True)
-class Trial(Generic[T]):
+class Evaluation(Generic[T]):
     """The model at one set of parameters.
 
     Attributes:
@@ -64,7 +64,7 @@ class Optimum(Generic[T]):
     """
 
     free: Float[np.ndarray, " p"]
-    trial: Trial[T]
+    trial: Evaluation[T]
     status: str
     history: tuple[Iteration, ...]
 
@@ -75,7 +75,7 @@ class Optimum(Generic[T]):
 
 
 def minimise(
-    evaluate: Callable[[Float[np.ndarray, " p"]], Trial[T] | None],
+    evaluate: Callable[[Float[np.ndarray, " p"]], Evaluation[T] | None],
     start: Float[np.ndarray, " p"],
     *,
     max_iterations: int = 30,
@@ -114,7 +114,7 @@ def minimise(
     first = evaluate(start)
     if first is None:
         return None
-    best: Trial[T] = first
+    best: Evaluation[T] = first
     free = np.array(start, dtype=float)
     damping, growth = 1e-3, 2.0
     history: list[Iteration] = []

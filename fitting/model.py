@@ -20,11 +20,11 @@ from jaxtyping import Array, Float
 
 from derjax import Status
 
-from .levenberg import Trial
+from .levenberg import Evaluation
 from .observe import interpolation
 from .residuals import Predicted, residuals
 from .screw import Motion, extended, is_steady
-from .simulate import Simulated, Simulator, motor_rate, steps_per_call
+from .simulate import SimulatedTrack, Simulator, motor_rate, steps_per_call
 from .store import Store
 from .tracks import Dataset, Run
 from .transforms import Parameters
@@ -90,13 +90,13 @@ class Model:
         """Compile the program that all runs share."""
         self.simulator.compile(free, self.rates[0])
 
-    def whole(self, free: Free) -> Trial[list[Simulated]] | None:
+    def whole(self, free: Free) -> Evaluation[list[SimulatedTrack]] | None:
         """Runs simulated to their last frames; None if a step fails (`failure` says how)."""
         return self._trial(free, self.dataset.runs, preview=False)
 
     def preview(
         self, free: Free, runs: Sequence[Run] | None = None
-    ) -> Trial[list[Simulated]] | None:
+    ) -> Evaluation[list[SimulatedTrack]] | None:
         """Runs simulated until they are steady, and continued from there.
 
         Args:
@@ -107,7 +107,7 @@ class Model:
 
     def _trial(
         self, free: Free, runs: Sequence[Run], preview: bool
-    ) -> Trial[list[Simulated]] | None:
+    ) -> Evaluation[list[SimulatedTrack]] | None:
         simulated = self._recall(free, preview)
         for run, one in zip(runs, simulated, strict=True):
             if not one.report.ok:
@@ -117,9 +117,9 @@ class Model:
             predict(run, one, self.step, period)
             for run, one, period in zip(runs, simulated, self.periods, strict=True)
         ]
-        return Trial(residuals(runs, predicted), simulated)
+        return Evaluation(residuals(runs, predicted), simulated)
 
-    def _recall(self, free: Free, preview: bool) -> list[Simulated]:
+    def _recall(self, free: Free, preview: bool) -> list[SimulatedTrack]:
         """What was simulated before, or now is.
 
         A preview stays one when the whole of it is known as well: a fit that is resumed has to
@@ -135,7 +135,7 @@ class Model:
         self._store.put(keys[-1] if all(reached) else keys[0], simulated)
         return simulated
 
-    def _simulate(self, free: Free, preview: bool) -> list[Simulated]:
+    def _simulate(self, free: Free, preview: bool) -> list[SimulatedTrack]:
         begun, before, done = time.perf_counter(), self.work, 0
 
         def on_steps(steps: int) -> None:
@@ -178,7 +178,7 @@ def _period(dataset: Dataset, rpm: np.ndarray) -> float | None:
     return 60.0 / float(rates[0]) if len(rates) == 1 and rates[0] > 0 else None
 
 
-def predict(run: Run, simulated: Simulated, step: float, period: float | None) -> Predicted:
+def predict(run: Run, simulated: SimulatedTrack, step: float, period: float | None) -> Predicted:
     """What a run's camera would have seen, and the derivatives of that."""
     at_frames = interpolation(run.time, step)
     if at_frames.n_steps < len(simulated.time):

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from .causes import Cause
 from .goodness import Goodness
 from .levenberg import Iteration
-from .simulate import Simulated
+from .simulate import SimulatedTrack
 from .tracks import Dataset, Run
 
 
@@ -59,8 +59,8 @@ class RunFit:
     """
 
     run: Run
-    before: Simulated | None
-    after: Simulated
+    before: SimulatedTrack | None
+    after: SimulatedTrack
     residuals: Float[np.ndarray, "f c"]
     rms: dict[str, float]
     drift: dict[str, float]

@@ -18,7 +18,7 @@ from derjax.scenes.file import UNITS
 
 from .observe import ANGLE, CHANNELS
 from .outcome import Fit, RunFit
-from .simulate import Simulated
+from .simulate import SimulatedTrack
 
 REPORT, FIGURE = "fit.json", "fit.png"
 """Names of the files."""
@@ -173,7 +173,7 @@ def _motion(axis: Axes, one: RunFit, channel: int) -> None:
     if run.free_origin and channel != ANGLE:
         track = track + _offset(one, one.after, channel)
 
-    def line(simulated: Simulated, **style: Any) -> None:
+    def line(simulated: SimulatedTrack, **style: Any) -> None:
         shown = simulated.time <= run.time[-1] * (1 + 1e-9)
         axis.plot(
             simulated.time[shown], scale * (simulated.observed[shown, channel] - zero), **style
@@ -195,7 +195,7 @@ def _motion(axis: Axes, one: RunFit, channel: int) -> None:
     )
 
 
-def _offset(one: RunFit, simulated: Simulated, channel: int) -> float:
+def _offset(one: RunFit, simulated: SimulatedTrack, channel: int) -> float:
     """What is added to a track of free origin to lie on the simulation (m)."""
     run = one.run
     # The simulation of a fit that was stopped early may be shorter than the track.

@@ -1,7 +1,7 @@
-"""Simulated tracks with their derivatives, of any length from one compiled program.
+"""SimulatedTrack tracks with their derivatives, of any length from one compiled program.
 
 For a few parameters the derivatives are carried forward in time with the states: the tangents
-are nothing but more right-hand sides for the matrix that the step has factored anyway, and
+are nothing but more right-hand sides for the matrix that the step has linearise anyway, and
 nothing has to be stored. The rollout is compiled for a number of steps and called as often
 as a run needs it, so runs of all lengths and motor rates share the program, and the host
 can look in between: for progress, for an interruption, for a failed step.
@@ -34,7 +34,7 @@ STEPS_PER_CALL = 100
 
 
 @dataclass(frozen=True)
-class Simulated:
+class SimulatedTrack:
     """What a camera with a frame at every step would see.
 
     Attributes:
@@ -171,7 +171,7 @@ class Simulator:
         n_steps: int,
         on_steps: Callable[[int], None] = lambda steps: None,
         enough: Callable[[Motion], bool] = lambda motion: False,
-    ) -> Simulated:
+    ) -> SimulatedTrack:
         """At least `n_steps` steps (fewer after a failed one, and when there is `enough`).
 
         Args:
@@ -198,7 +198,7 @@ class Simulator:
             if enough(_joined(seen_so_far, 0)):
                 break
         motion, moved = _joined(seen_so_far, 0), _joined(moved_so_far, 1)
-        return Simulated(
+        return SimulatedTrack(
             time=self.scene.step * np.arange(done + 1),
             observed=motion.observed,
             sensitivity=np.moveaxis(moved.observed, 0, -1),
@@ -214,7 +214,7 @@ class Simulator:
         n_steps: Sequence[int],
         on_steps: Callable[[int], None] = lambda steps: None,
         enough: Sequence[Callable[[Motion], bool]] | None = None,
-    ) -> list[Simulated]:
+    ) -> list[SimulatedTrack]:
         """Several runs at once, one on each processor; arguments as of `run`.
 
         Raises:

@@ -10,7 +10,7 @@ from derjax.core.errors import WriteWarning
 from derjax.integrate.frames import RolloutStats
 from derjax.io.files import atomic_path
 
-from .simulate import Simulated
+from .simulate import SimulatedTrack
 
 MOST_IN_MEMORY = 64
 """Evaluations that are kept without a directory."""
@@ -27,9 +27,9 @@ class Store:
 
     def __init__(self, directory: Path | None) -> None:
         self.directory = directory
-        self._memory: dict[str, list[Simulated]] = {}
+        self._memory: dict[str, list[SimulatedTrack]] = {}
 
-    def put(self, key: str, simulated: list[Simulated]) -> None:
+    def put(self, key: str, simulated: list[SimulatedTrack]) -> None:
         """Keep the simulations of all runs."""
         self._memory[key] = simulated
         if len(self._memory) > MOST_IN_MEMORY:
@@ -50,7 +50,7 @@ class Store:
             warnings.warn(told, WriteWarning, stacklevel=2)
             self.directory = None
 
-    def get(self, key: str, step: float) -> list[Simulated] | None:
+    def get(self, key: str, step: float) -> list[SimulatedTrack] | None:
         """What was kept under a key; None if nothing was.
 
         Args:
@@ -73,6 +73,6 @@ class Store:
                 **{f.name: arrays[f"{k}.report.{f.name}"] for f in fields(RolloutStats)}
             )
             time = step * np.arange(len(kept["observed"]))
-            simulated.append(Simulated(time=time, report=report, **kept))
+            simulated.append(SimulatedTrack(time=time, report=report, **kept))
         self._memory[key] = simulated
         return simulated

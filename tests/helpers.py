@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from derjax import Rod, Scene, State, Topology, at_rest, chain
 from derjax.core.pytree import pytree, replace
 from derjax.integrate.step import predict
-from derjax.rods.rod import carry_frames
+from derjax.rods.rod import transport_frames
 from derjax.solve.newton import NewtonInfo
 from derjax.solve.potential import Potential, gather
 from derjax.terms import Bend, Gravity, Stage, Stretch, Term, Twist
@@ -128,7 +128,7 @@ def hessian_at(rod: Rod, state: State, terms: tuple[Term, ...]) -> np.ndarray:
     return np.asarray(expand(rod, state, terms, state.q)[2])
 
 
-carry = jax.jit(carry_frames)
+carry = jax.jit(transport_frames)
 
 
 def settled(rod: Rod, state: State, terms: tuple[Term, ...], held: tuple[int, ...] = ()) -> State:
@@ -197,4 +197,4 @@ def perturbed(rod: Rod, state: State, rng: np.random.Generator, size: float) -> 
     """`state` after a random displacement of `size` edge lengths and as many radians."""
     scale = np.full(rod.topology.n_dofs, size)
     scale[: 3 * rod.topology.n_nodes] *= float(jnp.min(rod.rest_length))
-    return carry_frames(rod, state, state.q + scale * rng.standard_normal(len(scale)))
+    return transport_frames(rod, state, state.q + scale * rng.standard_normal(len(scale)))

@@ -15,7 +15,7 @@ from derjax.integrate.frames import new_stats
 from derjax.integrate.step import predict
 from derjax.solve.blocks import Layout, multiply
 from derjax.solve.potential import Mobility, gather
-from derjax.solve.saddle import Saddle, no_drag
+from derjax.solve.saddle import SaddlePointSystem, no_drag
 from derjax.terms import StokesletSegments
 from derjax.terms.contact import neighbours as neighbourhood
 from derjax.terms.fluid.block_stokeslets import BlockStokeslets, block_mobility
@@ -52,7 +52,7 @@ def in_blocks(scene: Scene) -> Scene:
     return replace(scene, terms=tuple(terms), layout=layout)
 
 
-def saddle_of(scene: Scene, state: State) -> Saddle:
+def saddle_of(scene: Scene, state: State) -> SaddlePointSystem:
     """The equations of a step of implicit Euler from a state."""
     h, topology = scene.step_length, scene.rod.topology
     assert scene.layout is not None
@@ -61,7 +61,7 @@ def saddle_of(scene: Scene, state: State) -> Saddle:
     drag = next((c for c in parts if isinstance(c, Mobility)), None)
     free = np.ones(topology.n_dofs)
     free[list(topology.clamped)] = 0.0
-    return Saddle(
+    return SaddlePointSystem(
         potential=gather([c for c in parts if c is not drag]),
         drag=drag or no_drag(scene.layout),
         layout=scene.layout,
@@ -95,7 +95,7 @@ def test_rods_couple_neighbours_only_so_that_the_factor_is_exact(name, rng):
     def there_and_back(x: jax.Array) -> jax.Array:
         saddle = saddle_of(scene, state)
         z = saddle.start(state.q)
-        factor, _ = saddle.factored(z, jnp.abs(z), saddle.scales, None, exact=True)
+        factor, _ = saddle.linearise(z, jnp.abs(z), saddle.scales, None, exact=True)
         return factor.near.solve(multiply(factor.matrices, x) + factor.diagonal * x)
 
     x = free * rng.standard_normal(state.q.size)
@@ -178,7 +178,7 @@ def test_linear_systems_are_solved_both_ways(name, rng):
     def check(state: State, c: jax.Array) -> tuple[jax.Array, jax.Array]:
         saddle = saddle_of(scene, state)
         z = saddle.start(state.q)
-        factor, _ = saddle.factored(z, jnp.abs(z), saddle.scales, None, exact=True)
+        factor, _ = saddle.linearise(z, jnp.abs(z), saddle.scales, None, exact=True)
         _, product = jax.jvp(saddle.gradient, (z,), (factor.solve(c),))
         _, transpose = jax.vjp(saddle.gradient, z)
         (transposed,) = transpose(factor.solve_transposed(c))

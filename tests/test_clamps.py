@@ -144,7 +144,7 @@ def test_a_held_tip_is_one_more_edge_in_line(shape):
     angles = {dof for dof in two.clamped if dof >= 3 * two.n_nodes}
     assert len(two.clamped) - len(angles) == 2 * 4 * 3
     tips = two.edge_dofs([two.edges.index(path[-2:]) for path in two.filaments])
-    assert angles == {*two.edge_dofs(two.spindles).tolist(), *tips.tolist()}
+    assert angles == {*two.edge_dofs(two.driven_edges).tolist(), *tips.tolist()}
 
 
 @pytest.mark.parametrize("kind", ["single_flagellum", "two_flagella", "branched"])

@@ -25,8 +25,8 @@ from derjax.terms.contact.repulsion import (
     RAMP,
     SOFTNESS,
     Contact,
-    Repulsion,
-    Touch,
+    ContactEnergy,
+    ContactLaw,
     energy,
     force,
     meeting,
@@ -40,7 +40,7 @@ WIDTH = RAMP * DIAMETER
 
 # One pair -------------------------------------------------------------------------------------
 
-TOUCH = Touch(jnp.asarray(50.0), jnp.asarray(DIAMETER))
+TOUCH = ContactLaw(jnp.asarray(50.0), jnp.asarray(DIAMETER))
 
 
 def pairs_at(gaps: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -74,7 +74,7 @@ PAIRS = pairs_at(GAPS, RNG)
 @jax.vmap
 def of_pair(pair):
     """Distance, energy, and its derivatives by formula and by automatic differentiation."""
-    x, law = pair.ravel(), Repulsion()
+    x, law = pair.ravel(), ContactEnergy()
     return {
         "distance": meeting(x, TOUCH.diameter)[1],
         "energy": law(x, TOUCH),

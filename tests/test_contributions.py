@@ -32,7 +32,7 @@ from derjax.solve.potential import (
     Pairs,
     Quadratic,
 )
-from derjax.terms import Lagged, SpillmannTeschner, Stage, Term
+from derjax.terms import ExplicitDrag, SpillmannTeschner, Stage, Term
 from derjax.terms.fluid.block_stokeslets import BlockStokeslets
 
 BLOCK = 4
@@ -256,10 +256,10 @@ def test_blocks_of_another_layout_are_refused():
 
 def test_explicit_drag_says_what_it_cannot_take():
     scene, state = stokes_in_blocks()
-    terms = tuple(Lagged(t) if isinstance(t, BlockStokeslets) else t for t in scene.terms)
+    terms = tuple(ExplicitDrag(t) if isinstance(t, BlockStokeslets) else t for t in scene.terms)
     with pytest.raises(ValueError, match=r"explicit drag.*'dense'"):
         trace(replace(scene, terms=terms), state)
-    scene, state = scene_of("dense", "trbdf2", (Lagged(own_term("Diagonal", jnp.ones(6))),))
+    scene, state = scene_of("dense", "trbdf2", (ExplicitDrag(own_term("Diagonal", jnp.ones(6))),))
     with pytest.raises(ValueError, match="only for the scheme euler"):
         trace(scene, state)
 

@@ -15,7 +15,7 @@ from derjax.integrate.schemes.euler import euler
 from derjax.rods.rod import tangents
 from derjax.solve.newton import NewtonSettings
 from derjax.terms import Contact, Friction, Gravity, Inertia, Stretch
-from derjax.terms.contact.friction import Rubbing, Sliding, slip
+from derjax.terms.contact.friction import FrictionDissipation, SlipData, slip
 from derjax.terms.contact.repulsion import RAMP, SOFTNESS
 
 # One pair -------------------------------------------------------------------------------------
@@ -94,7 +94,7 @@ def test_slip_of_a_rod_that_tilts():
 @jax.vmap
 def rubbing(x, data):
     """Dissipation, and its derivatives by formula and by automatic differentiation."""
-    law = Rubbing()
+    law = FrictionDissipation()
     formula = law.gradient(x, data), law.hessian(x, data)
     return law(x, data), *formula, jax.grad(law)(x, data), jax.hessian(law)(x, data)
 
@@ -112,7 +112,7 @@ def rubbed() -> tuple[np.ndarray, ...]:
     size = smallest * 10.0 ** rng.uniform(-3, 3, n)
     size[:10] = 0.0
     old, move = rng.standard_normal((2, n, 14))
-    data = Sliding(matrix, jnp.asarray(old), jnp.full(n, 2.5), jnp.full(n, smallest))
+    data = SlipData(matrix, jnp.asarray(old), jnp.full(n, 2.5), jnp.full(n, smallest))
     slipped = size[:, None] * np.einsum("nij,nj->ni", matrix, move)
     found = rubbing(old + size[:, None] * move, data)
     return size, move, slipped, *(np.asarray(v) for v in found)

@@ -14,10 +14,10 @@ from derjax.rods.rod import tangents
 from derjax.shapes import helix, helix_contour, single_flagellum
 from derjax.solve.potential import gather
 from derjax.terms import (
+    ExplicitDrag,
     Gravity,
     HeadDrag,
     Inertia,
-    Lagged,
     ResistiveDrag,
     SpinDrag,
     StokesletSegments,
@@ -49,7 +49,7 @@ DRAG = {
     "RSS, collocation": stokeslets(drag_matrix="collocation"),
     "RSS, lower triangle": stokeslets(drag_matrix="lower_triangle"),
     "RSS, head dropped": stokeslets(EVERY_NODE, drag_matrix="collocation"),
-    "RSS, lagged": Lagged(stokeslets()),
+    "RSS, lagged": ExplicitDrag(stokeslets()),
 }
 MASS = jnp.concatenate([jnp.repeat(jnp.linspace(1, 2, N_NODES), 3), jnp.ones(N_NODES - 1)])
 OTHERS = {

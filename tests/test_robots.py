@@ -21,7 +21,7 @@ from derjax.results.head import (
     head_spin,
 )
 from derjax.shapes import (
-    Body,
+    RobotGeometry,
     arc,
     around,
     branched,
@@ -45,7 +45,7 @@ def coil(handedness: str = "left", phase: float = 0.0):
     return around(phase, helix(RADIUS, PITCH, LENGTH, N, handedness))
 
 
-def make(kind: str, filaments: list) -> Body:
+def make(kind: str, filaments: list) -> RobotGeometry:
     """A robot of some kind with these filaments."""
     edge, separation = jnp.asarray(EDGE), jnp.asarray(SEPARATION)
     if kind == "single_flagellum":
@@ -63,10 +63,10 @@ WITH_HEAD = [(kind, count) for kind, count in KINDS if kind != "clamped"]
 every_kind = pytest.mark.parametrize(("kind", "count"), KINDS)
 with_head = pytest.mark.parametrize(("kind", "count"), WITH_HEAD)
 
-_bodies: dict[tuple[str, int], Body] = {}
+_bodies: dict[tuple[str, int], RobotGeometry] = {}
 
 
-def body_of(kind: str, count: int) -> Body:
+def body_of(kind: str, count: int) -> RobotGeometry:
     """The robot with equal left-handed helices."""
     if (kind, count) not in _bodies:
         _bodies[kind, count] = make(kind, [coil()] * count)
@@ -84,7 +84,7 @@ def edge_between(topology: Topology, a: int, b: int) -> int:
     return found
 
 
-def lengths(body: Body) -> np.ndarray:
+def lengths(body: RobotGeometry) -> np.ndarray:
     start, end = body.topology.edge_nodes.T
     return np.linalg.norm(np.asarray(body.nodes)[end] - np.asarray(body.nodes)[start], axis=1)
 
@@ -306,7 +306,7 @@ def test_motors_drive_the_shafts_against_the_links(kind, count):
     """Where the filament begins, and all of them in the same sense: with the right hand about x."""
     body = body_of(kind, count)
     topology, nodes = body.topology, np.asarray(body.nodes)
-    assert topology.spindles == topology.clamped == ()
+    assert topology.driven_edges == topology.clamped == ()
     assert len(topology.motors) == count
     for motor, path in zip(topology.motors, topology.filaments, strict=True):
         first, second = topology.hinges[motor]
@@ -328,9 +328,9 @@ def test_spindles_are_the_clamped_shafts(count):
     topology = body_of("clamped", count).topology
     assert topology.motors == ()
     assert topology.head is None
-    assert len(topology.spindles) == count
+    assert len(topology.driven_edges) == count
     held = set()
-    for spindle, path in zip(topology.spindles, topology.filaments, strict=True):
+    for spindle, path in zip(topology.driven_edges, topology.filaments, strict=True):
         assert topology.edges[spindle] == path[:2]
         held |= {3 * node + axis for node in path[:2] for axis in range(3)}
         held.add(3 * topology.n_nodes + spindle)
@@ -362,7 +362,7 @@ def test_stiff_hinges_are_those_of_the_head(kind, count):
 # How a head moves ----------------------------------------------------------------------------
 
 
-def moved(body: Body, turns: list[np.ndarray], omega: np.ndarray) -> State:
+def moved(body: RobotGeometry, turns: list[np.ndarray], omega: np.ndarray) -> State:
     """Rigid rotations of a robot, one after the other, each turning at the rate `omega`."""
     topology, x = body.topology, np.asarray(body.nodes)
     start, end = topology.edge_nodes.T

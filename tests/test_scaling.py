@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import derjax
-from derjax import SceneFile, build, positions
+from derjax import SceneFile, build, positions, roll_frames
 from derjax.results.dataset import to_dataset
 from derjax.results.summary import summarise
 from derjax.scenes.plausibility import USUAL_LENGTHS

@@ -27,7 +27,7 @@ from derjax.core.pytree import pytree, replace
 from derjax.integrate.frames import new_stats
 from derjax.integrate.schemes.euler import euler
 from derjax.integrate.schemes.trbdf2 import D, trbdf2
-from derjax.integrate.step_size import Control
+from derjax.integrate.step_size import StepSizeController
 from derjax.results import head as kinematics
 from derjax.rods.rod import Rod
 from derjax.solve.newton import NewtonSettings
@@ -200,7 +200,7 @@ def relaxing(
 ) -> tuple[Scene, State]:
     """y' = -rate y from 1, in units of the size that errors are measured in."""
     scene = springs(scheme, (Springs(RATES), Dampers(jnp.ones(N_DOFS))), h)
-    control = Control(
+    control = StepSizeController(
         tolerance=jnp.asarray(tolerance),
         scale=jnp.full(N_DOFS, SMALL),
         shortest=jnp.asarray(shortest),

@@ -421,11 +421,11 @@ def test_clamped_bases_turn_by_the_angles_of_their_motors(held):
     topology = held.scene.rod.topology
     times = np.asarray(held.states.time)
     turned = angles(topology, held.states.q) + 2 * np.pi * held.states.turns
-    for spindle, rpm in zip(topology.spindles, (45.0, -30.0), strict=True):
+    for spindle, rpm in zip(topology.driven_edges, (45.0, -30.0), strict=True):
         expected = rpm * 2 * np.pi / 60 * times
         np.testing.assert_allclose(turned[:, spindle], expected, rtol=1e-12)
         # ... and the helix follows, about x: its first node goes round the shaft.
-        path = topology.filaments[topology.spindles.index(spindle)]
+        path = topology.filaments[topology.driven_edges.index(spindle)]
         away = nodes_of(held)[:, path[2]] - nodes_of(held)[:, path[1]]
         followed = np.unwrap(np.arctan2(away[:, 2], away[:, 1]))
         np.testing.assert_allclose(followed - followed[0], expected - expected[0], atol=0.5)

@@ -9,7 +9,7 @@ from helpers import advance, rest
 from derjax import Scene, State, Topology, positions
 from derjax.core.pytree import Indices, replace
 from derjax.core.status import Status
-from derjax.integrate.schemes.contact_corrected import corrected
+from derjax.integrate.schemes.contact_corrected import contact_corrected_euler
 from derjax.integrate.schemes.euler import euler
 from derjax.solve.newton import NewtonSettings
 from derjax.terms import Gravity, Inertia, SpillmannTeschner, Stretch
@@ -36,7 +36,7 @@ def crossed(gap: float, angle: float = 1.2, shift: float = 0.0) -> tuple[Scene, 
     weight = Gravity(MASS, jnp.array([0.1, 0.2, 0.3]))
     terms = (Stretch(jnp.full(2, 10.0)), Inertia(inertia), weight, contact)
     settings = NewtonSettings(jnp.asarray(1e-8), jnp.ones(RODS.n_dofs))
-    return Scene(rod, terms, None, settings, jnp.asarray(0.01), corrected), state
+    return Scene(rod, terms, None, settings, jnp.asarray(0.01), contact_corrected_euler), state
 
 
 def approaching(state: State, speed: float) -> State:

@@ -10,10 +10,10 @@ import pytest
 from helpers import advance, finite_difference_jvp, share
 
 import derjax
-from derjax import SceneFile, State, angles, build, positions
+from derjax import SceneFile, State, angles, build, positions, roll_frames
 from derjax.core.pytree import replace
 from derjax.integrate.step import Scene
-from derjax.rods.rod import carry_frames
+from derjax.rods.rod import transport_frames
 from derjax.scenes.file import InputError, load_scene
 from derjax.terms import SpinDrag
 
@@ -111,7 +111,7 @@ def test_derivatives_of_a_step():
     state = scene.start
     aside = 3 * np.array([2, 3, 4]) + 1
     bent = state.q.at[aside].add(jnp.array([0.01, 0.03, 0.06]))
-    state = carry_frames(scene.rod, state, bent)
+    state = transport_frames(scene.rod, state, bent)
 
     def outcome(resistance: Any) -> Any:
         return advance(with_resistance(scene, resistance), state)[0].q

@@ -13,7 +13,7 @@ from ..core.pytree import pytree, replace
 from ..core.status import SolverError, Status, explain
 from ..rods.rod import State
 from .step import Scene, Step
-from .step_size import AFTER_FAILURE, Control
+from .step_size import AFTER_FAILURE, StepSizeController
 
 SEGMENTS, TRIES = 32, 32
 """Of steps that adapt, whose product is the most tries that there may be in one frame."""
@@ -31,7 +31,7 @@ class RolloutStats:
         failed_at: s, start of the first failed step.
         steps: steps completed.
         iterations: Newton iterations of them all, tries included that were rejected.
-        factorings: Newton matrices that were factored for them.
+        factorings: Newton matrices that were linearise for them.
         residual: largest scaled residual of a completed step; of the failed one, if any.
         rejected: steps that were given up for shorter ones, if steps adapt.
         next_length: s, of the step that is tried next, if steps adapt; 0 at the start.
@@ -90,7 +90,7 @@ def _fixed(scene: Scene, run: _Run) -> _Run:
     return replace(_taken(run, step, good, step.info.status), left=run.left - 1)
 
 
-def _adaptive(scene: Scene, run: _Run, control: Control) -> _Run:
+def _adaptive(scene: Scene, run: _Run, control: StepSizeController) -> _Run:
     """One try of a step; what is left of the frame is divided into equal ones.
 
     Derivatives are those of a run with the same lengths of steps: they do not depend on

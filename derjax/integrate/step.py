@@ -24,15 +24,15 @@ from jaxtyping import Array, Float
 
 from ..core.pytree import pytree, replace, static
 from ..core.status import Status
-from ..rods.rod import Rod, State, carry_frames, positions, tangents
+from ..rods.rod import Rod, State, positions, tangents, transport_frames
 from ..solve.blocks import Layout
 from ..solve.newton import NewtonInfo, NewtonSettings, equilibrium
 from ..solve.potential import Dofs, Mobility, Potential, gather
-from ..solve.saddle import Saddle, no_drag
+from ..solve.saddle import SaddlePointSystem, no_drag
 from ..terms.term import Prediction, Stage, Term, contributions
 from .motor import Motor
 from .provenance import CheckSums, changed
-from .step_size import Control
+from .step_size import StepSizeController
 
 T = TypeVar("T", bound=Term)
 
@@ -81,7 +81,7 @@ class Scene:
     newton: NewtonSettings
     step_length: Float[Array, ""]
     scheme: Callable[["Scene", State, Array], Step] = static()
-    control: Control | None = None
+    control: StepSizeController | None = None
     layout: Layout | None = None
     parameters: dict[str, Array] = field(default_factory=dict)
     check_sums: CheckSums = field(default_factory=dict)
@@ -171,7 +171,7 @@ def _short(value: Any) -> str:
     return f"{float(value):.6g}" if np.ndim(value) == 0 else f"array of shape {np.shape(value)}"
 
 
-def expected_velocity(scene: Scene, state: State, ahead: Array) -> Dofs:
+def predicted_velocity(scene: Scene, state: State, ahead: Array) -> Dofs:
     """The velocity (m/s, rad/s) some time (s) ahead, if motion goes on as it did.
 
     Only where it is smooth: after a jump, as at the start, velocity is taken as constant. What is
@@ -192,9 +192,9 @@ def expected_velocity(scene: Scene, state: State, ahead: Array) -> Dofs:
     return velocity + first + second
 
 
-def expected_move(scene: Scene, state: State, ahead: Array) -> Dofs:
+def predicted_displacement(scene: Scene, state: State, ahead: Array) -> Dofs:
     """How far (m, rad) the rod goes in some time (s), if motion goes on as it did."""
-    return ahead * expected_velocity(scene, state, 0.5 * ahead)
+    return ahead * predicted_velocity(scene, state, 0.5 * ahead)
 
 
 def predict(scene: Scene, state: State, ahead: Array, length: Array) -> Prediction:
@@ -202,8 +202,8 @@ def predict(scene: Scene, state: State, ahead: Array, length: Array) -> Predicti
 
     Drag is that of the configuration some time (s) ahead.
     """
-    configuration = state.q + expected_move(scene, state, ahead)
-    return Prediction(configuration, expected_move(scene, state, length), scene.terms)
+    configuration = state.q + predicted_displacement(scene, state, ahead)
+    return Prediction(configuration, predicted_displacement(scene, state, length), scene.terms)
 
 
 def fluid_velocity(scene: Scene, q: Dofs, time: Array) -> Dofs | None:
@@ -275,8 +275,8 @@ def solve(
     if potential.guards:
         move = potential.reach(state.q, move) * move
     guess = state.q + move
-    if topology.spindles:
-        dofs = topology.edge_dofs(topology.spindles)
+    if topology.driven_edges:
+        dofs = topology.edge_dofs(topology.driven_edges)
         guess = guess.at[dofs].set(state.q[dofs] + turn, unique_indices=True)
     free = None
     if topology.clamped:
@@ -334,7 +334,7 @@ def _in_blocks(
     free = np.ones(topology.n_dofs)
     free[list(topology.clamped)] = 0.0
     scale = lax.stop_gradient(scene.newton.force_scale)
-    saddle = Saddle(potential, drag, layout, guess, jnp.asarray(free), scale)
+    saddle = SaddlePointSystem(potential, drag, layout, guess, jnp.asarray(free), scale)
     dry = jnp.broadcast_to(jnp.asarray(scene.newton.size), guess.shape)
     size = saddle.join(dry, jnp.zeros(saddle.drag.dofs.array.size))
     settings = replace(scene.newton, force_scale=saddle.scales, size=size)
@@ -342,7 +342,7 @@ def _in_blocks(
     return saddle.split(z)[0], info
 
 
-def at_end(
+def finish_step(
     scene: Scene,
     state: State,
     length: Array,
@@ -352,7 +352,7 @@ def at_end(
     turn: Float[Array, " k"],
 ) -> State:
     """The state after a step from `state` to `q`, with what is known of its end."""
-    new = carry_frames(scene.rod, replace(state, motor_angle=state.motor_angle + turn), q)
+    new = transport_frames(scene.rod, replace(state, motor_angle=state.motor_angle + turn), q)
     return replace(
         new,
         velocity=velocity,

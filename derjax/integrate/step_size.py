@@ -16,7 +16,7 @@ AFTER_FAILURE = 0.25
 
 
 @pytree
-class Control:
+class StepSizeController:
     """Steps whose estimated error is a given part of the size of a robot.
 
     Attributes:

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from ..rods.rod import Topology
 from ..rods.vectors import cross, dot
 from ..terms.contact.neighbours import closest
-from ..terms.contact.repulsion import Contact, Touch, force, meeting
+from ..terms.contact.repulsion import Contact, ContactLaw, force, meeting
 from ..terms.contact.segments import distance
 
 NEAR = 2.0
@@ -77,7 +77,7 @@ def contact_forces(
 
     Zero in places that no pair takes.
     """
-    touch = Touch(contact.stiffness, 2.0 * contact.radius)
+    touch = ContactLaw(contact.stiffness, 2.0 * contact.radius)
 
     def at_one_time(x: Float[Array, "n 3"]) -> Float[Array, " k"]:
         edges, found = closest(topology, x, contact.pairs, touch.diameter, contact.capacity)

@@ -129,5 +129,5 @@ def _force(part: Contribution | Mobility, state: State) -> Dofs:
         return -part.gradient(state.q)
     wet, law = part.dofs.array, part.law
     velocity = (state.q - part.origin)[wet] / part.time
-    alone = gmres(lambda u: law.apply(law.resist(u)), velocity, EXACT, PRODUCTS)
-    return jnp.zeros_like(state.q).at[wet].add(-law.resist(alone))
+    alone = gmres(lambda u: law.apply(law.precondition(u)), velocity, EXACT, PRODUCTS)
+    return jnp.zeros_like(state.q).at[wet].add(-law.precondition(alone))

@@ -49,7 +49,7 @@ class Topology:
         filaments: node paths on which the fluid acts, each a tuple of consecutive nodes.
         head: the nodes and edges of the head; None without a head.
         motors: the hinges whose natural twist is driven.
-        spindles: the clamped edges whose angle is driven; a rod has motors or spindles.
+        driven_edges: the clamped edges whose angle is driven; a rod has motors or driven_edges.
         clamped: degrees of freedom held fixed.
     """
 
@@ -59,7 +59,7 @@ class Topology:
     filaments: tuple[tuple[int, ...], ...] = static(default=())
     head: Head | None = static(default=None)
     motors: tuple[int, ...] = static(default=())
-    spindles: tuple[int, ...] = static(default=())
+    driven_edges: tuple[int, ...] = static(default=())
     clamped: tuple[int, ...] = static(default=())
 
     @property
@@ -357,14 +357,14 @@ def at_rest(topology: Topology, nodes: Float[Array, "n 3"]) -> tuple[Rod, State]
         length=jnp.zeros(()),
         reference_director=director,
         reference_twist=m_ref,
-        motor_angle=jnp.zeros(len(topology.motors) + len(topology.spindles)),
+        motor_angle=jnp.zeros(len(topology.motors) + len(topology.driven_edges)),
         turns=jnp.zeros(topology.n_edges),
         time=jnp.zeros(()),
     )
     return rod, state
 
 
-def carry_frames(rod: Rod, state: State, q: Float[Array, " d"]) -> State:
+def transport_frames(rod: Rod, state: State, q: Float[Array, " d"]) -> State:
     """The state at `q`: frames transported in time from `state`, whole turns taken out.
 
     Time-parallel transport adds no rotation about the tangent, so the rate of an edge angle

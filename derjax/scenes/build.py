@@ -14,11 +14,11 @@ from ..core.pytree import Indices, replace
 from ..core.status import SolverError
 from ..integrate.motor import Motor
 from ..integrate.provenance import check_sums
-from ..integrate.schemes.contact_corrected import corrected
+from ..integrate.schemes.contact_corrected import contact_corrected_euler
 from ..integrate.schemes.euler import euler
 from ..integrate.schemes.trbdf2 import trbdf2
 from ..integrate.step import Scene, Step
-from ..integrate.step_size import Control
+from ..integrate.step_size import StepSizeController
 from ..rods.rod import Rod, State, Topology, at_rest
 from ..solve.blocks import Layout
 from ..solve.newton import NewtonSettings
@@ -29,7 +29,7 @@ from ..terms.elastic.bend import Bend
 from ..terms.elastic.stretch import Stretch
 from ..terms.elastic.twist import Twist
 from ..terms.fluid.block_stokeslets import BlockStokeslets
-from ..terms.fluid.explicit import Lagged
+from ..terms.fluid.explicit import ExplicitDrag
 from ..terms.fluid.head import HeadDrag
 from ..terms.fluid.resistive import ResistiveDrag, gray_hancock, lighthill
 from ..terms.fluid.spin import SpinDrag
@@ -229,7 +229,7 @@ def _terms(
         terms.append(HeadDrag(6 * jnp.pi * viscosity * size * p["C_t"], spin, tilt, size))
     if fluid.hydrodynamics != "none":
         drag = _stokeslets(scene, p, rod) if fluid.hydrodynamics == "rss" else _resistive(scene, p)
-        terms.append(Lagged(drag) if scene.time.scheme == "explicit" else drag)
+        terms.append(ExplicitDrag(drag) if scene.time.scheme == "explicit" else drag)
     if fluid.spin_drag:
         terms.append(SpinDrag(4 * jnp.pi * p["viscosity"] * radius**2))
     if pairs is not None and scene.contact_method == "smooth":
@@ -351,18 +351,18 @@ def _buoyant_mass(scene: SceneFile, p: dict[str, Array], rod: Rod) -> Float[Arra
 
 def _scheme(scene: SceneFile) -> Callable[[Scene, State, Array], Step]:
     if scene.contact_method == "spillmann_teschner":
-        return corrected
+        return contact_corrected_euler
     return {"trbdf2": trbdf2, "euler": euler, "explicit": euler}[scene.time.scheme]
 
 
-def _control(scene: SceneFile, rod: Rod) -> Control | None:
+def _control(scene: SceneFile, rod: Rod) -> StepSizeController | None:
     """Errors are measured in the radius of a circle as long as a flagellum, and in rad."""
     if scene.time.tolerance is None or scene.contact_method == "spillmann_teschner":
         return None
     topology = rod.topology
     contour = jnp.sum(rod.rest_length) / scene.robot.count / (2 * jnp.pi)
     position = np.arange(topology.n_dofs) < 3 * topology.n_nodes
-    return Control(
+    return StepSizeController(
         tolerance=jnp.asarray(scene.time.tolerance),
         scale=jnp.where(position, contour, 1.0),
         shortest=jnp.asarray(SHORTEST * scene.step),
@@ -372,7 +372,7 @@ def _control(scene: SceneFile, rod: Rod) -> Control | None:
 
 def _motor(scene: SceneFile, p: dict[str, Array], topology: Topology) -> Motor:
     """Rates by time and motor; one rate is that of every motor."""
-    n_motors = len(topology.motors) + len(topology.spindles)
+    n_motors = len(topology.motors) + len(topology.driven_edges)
     if scene.motor_table is None:
         times, rate = (0.0,), jnp.broadcast_to(p["rpm"], (1, n_motors))
     else:

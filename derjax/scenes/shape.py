@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from ..core.pytree import Indices
 from ..shapes import (
-    Body,
+    RobotGeometry,
     arc,
     around,
     branched,
@@ -31,7 +31,7 @@ SHAPE = ("helix_radius", "pitch", "axial_length", "rod_radius", "separation", "b
 """The parameters that say which edges may touch."""
 
 
-def body_of(scene: SceneFile, p: Mapping[str, Array]) -> Body:
+def body_of(scene: SceneFile, p: Mapping[str, Array]) -> RobotGeometry:
     """The nodes (m) of a robot at rest, and how they hang together.
 
     Their number is that of the file's own dimensions.

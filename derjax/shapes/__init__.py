@@ -6,7 +6,7 @@ smooth functions of the dimensions, so that a rollout can be differentiated with
 shape; the number of nodes is fixed beforehand, on the host.
 """
 
-from .body import Body as Body
+from .body import RobotGeometry as RobotGeometry
 from .body import around as around
 from .branched import branched as branched
 from .clamped import clamped as clamped

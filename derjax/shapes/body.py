@@ -11,7 +11,7 @@ from ..rods.rod import Topology
 Nodes = Float[Array, "n 3"]
 
 
-class Body(NamedTuple):
+class RobotGeometry(NamedTuple):
     """A robot at rest.
 
     Attributes:
@@ -36,7 +36,7 @@ def distance_from_axis(n_flagella: int, separation: Array) -> Array:
     return separation / (2.0 * np.sin(np.pi / n_flagella)) if n_flagella > 1 else 0.0 * separation
 
 
-def mounted(filament: Nodes, edge: Array, backwards: int) -> Nodes:
+def on_shaft(filament: Nodes, edge: Array, backwards: int) -> Nodes:
     """`filament` on its shaft: nodes in line behind it, `edge` (m) apart, along the x axis.
 
     The shaft ends at (edge, 0, 0), after the motor at the origin and `backwards` more nodes.

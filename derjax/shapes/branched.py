@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Array
 
 from ..rods.rod import Head, Topology
-from .body import Body, Nodes, around, distance_from_axis, mounted
+from .body import Nodes, RobotGeometry, around, distance_from_axis, on_shaft
 
 
-def branched(filaments: Sequence[Nodes], edge: Array, separation: Array) -> Body:
+def branched(filaments: Sequence[Nodes], edge: Array, separation: Array) -> RobotGeometry:
     """Flagella around the axis of one head, each on an arm and with a motor of its own.
 
     The head is an edge along x. From its second node arms lead outwards, to links that are
@@ -23,13 +23,13 @@ def branched(filaments: Sequence[Nodes], edge: Array, separation: Array) -> Body
     if n_flagella == 0:
         raise ValueError("a robot needs at least one flagellum")
     radius = distance_from_axis(n_flagella, separation)
-    hub = mounted(filaments[0], edge, backwards=2)[:2]
+    hub = on_shaft(filaments[0], edge, backwards=2)[:2]
     nodes, edges, paths = [hub], [(0, 1)], []
     hinges, stiff, motors = [], [], []
     arms = int(n_flagella > 1)
     size = 2
     for k, filament in enumerate(filaments):
-        branch = mounted(filament, edge, backwards=arms)
+        branch = on_shaft(filament, edge, backwards=arms)
         branch = around(2.0 * np.pi * k / n_flagella, branch + radius * jnp.array([0.0, 1.0, 0.0]))
         first_edge, first_hinge = len(edges), len(hinges)
         path = [1, *range(size, size + len(branch))]
@@ -49,4 +49,4 @@ def branched(filaments: Sequence[Nodes], edge: Array, separation: Array) -> Body
         head=Head(node=0, line=(0, 1), edges=(0,)),
         motors=tuple(motors),
     )
-    return Body(jnp.concatenate(nodes), topology, tuple(stiff))
+    return RobotGeometry(jnp.concatenate(nodes), topology, tuple(stiff))

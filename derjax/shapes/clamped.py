@@ -8,10 +8,12 @@ import numpy as np
 from jaxtyping import Array
 
 from ..rods.rod import Topology
-from .body import Body, Nodes, around, distance_from_axis, mounted
+from .body import Nodes, RobotGeometry, around, distance_from_axis, on_shaft
 
 
-def clamped(filaments: Sequence[Nodes], edge: Array, separation: Array, tips: bool = False) -> Body:
+def clamped(
+    filaments: Sequence[Nodes], edge: Array, separation: Array, tips: bool = False
+) -> RobotGeometry:
     """Filaments whose bases are held in place and turned about their own axes.
 
     They lie around the x axis as those of the robot `branched`. The first edge of each, from
@@ -21,10 +23,10 @@ def clamped(filaments: Sequence[Nodes], edge: Array, separation: Array, tips: bo
     """
     n_flagella = len(filaments)
     radius = distance_from_axis(n_flagella, separation)
-    nodes, edges, hinges, paths, spindles, ends = [], [], [], [], [], []
+    nodes, edges, hinges, paths, driven_edges, ends = [], [], [], [], [], []
     size = 0
     for k, filament in enumerate(filaments):
-        branch = mounted(filament, edge, backwards=0)
+        branch = on_shaft(filament, edge, backwards=0)
         if tips:
             branch = jnp.concatenate([branch, 2.0 * branch[-1:] - branch[-2:-1]])
         nodes.append(
@@ -35,7 +37,7 @@ def clamped(filaments: Sequence[Nodes], edge: Array, separation: Array, tips: bo
         edges += pairwise(path)
         hinges += [(e, e + 1) for e in range(first, len(edges) - 1)]
         paths.append(tuple(path))
-        spindles.append(first)
+        driven_edges.append(first)
         ends += [first, len(edges) - 1] if tips else [first]
         size += len(branch)
     held = [node for edge in ends for node in edges[edge]]
@@ -45,7 +47,7 @@ def clamped(filaments: Sequence[Nodes], edge: Array, separation: Array, tips: bo
         edges=tuple(edges),
         hinges=tuple(hinges),
         filaments=tuple(paths),
-        spindles=tuple(spindles),
+        driven_edges=tuple(driven_edges),
         clamped=(*positions, *(3 * size + edge for edge in ends)),
     )
-    return Body(jnp.concatenate(nodes), topology)
+    return RobotGeometry(jnp.concatenate(nodes), topology)

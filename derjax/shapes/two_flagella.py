@@ -5,17 +5,17 @@ import numpy as np
 from jaxtyping import Array
 
 from ..rods.rod import Head, chain
-from .body import Body, Nodes, around, mounted
+from .body import Nodes, RobotGeometry, around, on_shaft
 
 
-def two_flagella(filaments: tuple[Nodes, Nodes], edge: Array, separation: Array) -> Body:
+def two_flagella(filaments: tuple[Nodes, Nodes], edge: Array, separation: Array) -> RobotGeometry:
     """Tip, flagellum, motor, three head nodes, motor, flagellum, tip, on one rod.
 
     The flagella lie parallel to x, at y = -+ separation / 2 (m). The head is a bar across
     their axes; a link of length `edge` (m) leads from each of its ends to a motor. The second
     flagellum is the first one's image under half a turn about x, if their filaments agree.
     """
-    first, second = (mounted(filament, edge, backwards=1) for filament in filaments)
+    first, second = (on_shaft(filament, edge, backwards=1) for filament in filaments)
     offset = jnp.array([0.0, 0.5, 0.0]) * separation
     first = around(np.pi, first + offset)
     second = second + offset
@@ -33,4 +33,4 @@ def two_flagella(filaments: tuple[Nodes, Nodes], edge: Array, separation: Array)
         ),
         motors=(head - 3, head + 1),
     )
-    return Body(nodes, topology, stiff_hinges=(head - 2, head - 1, head))
+    return RobotGeometry(nodes, topology, stiff_hinges=(head - 2, head - 1, head))

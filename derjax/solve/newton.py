@@ -58,7 +58,7 @@ class NewtonInfo:
     Attributes:
         status: how it ended, a `Status`.
         iterations: steps of Newton's method, with new matrices and old.
-        factorings: matrices that were factored.
+        factorings: matrices that were linearise.
         residual: the largest scaled residual left.
     """
 
@@ -93,19 +93,19 @@ class _Point:
 class _Search:
     """A point, and the part of the way from there that is tried next.
 
-    Residuals are measured in `unit`; `blurred` is what rounding leaves of the largest, in units of
-    forces. The Newton matrix is `fresh` if it is that of the point, and `outdated` if the next step
-    should not be taken with it.
+    Residuals are measured in `unit`; `noise_floor` is what rounding leaves of the largest, in
+    units of forces. The Newton matrix `is_current` if it is that of the point, and it
+    `needs_refactor` if the next step should not be taken with it.
     """
 
     point: _Point
     part: Array
     unit: Dofs
-    blurred: Array
+    noise_floor: Array
     iterations: Array
     factorings: Array
-    fresh: Array
-    outdated: Array
+    is_current: Array
+    needs_refactor: Array
     status: Array
 
 
@@ -115,24 +115,24 @@ def _insert(q: Dofs, values: Array | float, free: tuple[int, ...]) -> Dofs:
 
 
 class Equations(Protocol):
-    """What is to be solved: a `Potential`, or a `Saddle`.
+    """What is to be solved: a `Potential`, or a `SaddlePointSystem`.
 
     Attributes:
         symmetric: whether a potential is to be minimised: then there are `value_and_gradient` and
             `slope`.
-        chords: steps that one may still have to take with a matrix that is out of date.
+        max_chord_steps: steps that one may still have to take with a matrix that is out of date.
         guards: what must hold on the way.
     """
 
     symmetric: Any
-    chords: int
+    max_chord_steps: int
     guards: Any
 
     def gradient(self, q: Dofs) -> Dofs: ...
 
     def reach(self, q: Dofs, direction: Dofs) -> Array: ...
 
-    def factored(
+    def linearise(
         self, q: Dofs, sizes: Dofs, unit: Dofs, free: tuple[int, ...] | None, exact: bool
     ) -> tuple[Factor, Dofs]: ...
 
@@ -170,7 +170,7 @@ def equilibrium(
     def renew(now: _Search) -> _Search:
         q = now.point.q
         sizes = jnp.maximum(jnp.abs(q), settings.size)
-        matrix, rounded = potential.factored(q, sizes, settings.force_scale, free, exact=False)
+        matrix, rounded = potential.linearise(q, sizes, settings.force_scale, free, exact=False)
         # No residual can be smaller than what rounding the coordinates alone makes of it. That is
         # so for every equation by itself: the inertia of a head that is heavy for a short step
         # says nothing about the twist of a thin rod.
@@ -182,14 +182,16 @@ def equilibrium(
             now,
             point=replace(now.point, residual=residual),
             unit=unit,
-            blurred=jnp.maximum(settings.tolerance, scaled(rounding, settings.force_scale)),
+            noise_floor=jnp.maximum(settings.tolerance, scaled(rounding, settings.force_scale)),
             part=jnp.ones(()),
             factorings=now.factorings + 1,
-            fresh=jnp.array(True),
-            outdated=jnp.array(False),
+            is_current=jnp.array(True),
+            needs_refactor=jnp.array(False),
         )
         return lax.while_loop(
-            lambda now: (now.status == _SEARCHING) & ~now.outdated, partial(advance, matrix), start
+            lambda now: (now.status == _SEARCHING) & ~now.needs_refactor,
+            partial(advance, matrix),
+            start,
         )
 
     def advance(matrix: Factor, now: _Search) -> _Search:
@@ -209,7 +211,7 @@ def equilibrium(
             # Far from the solution a smaller residual alone will not do: where rods touch,
             # iterations that trade the one for the other may go round in circles. Close to it
             # the potential says nothing any more, for rounding.
-            close = before <= CLOSE * now.blurred
+            close = before <= CLOSE * now.noise_floor
             accepted &= close | (value <= now.point.value)
             accepted |= (slope < 0) & (value <= now.point.value + 1e-4 * length * slope)
         finite = jnp.isfinite(residual)
@@ -220,16 +222,16 @@ def equilibrium(
         # The steps that are left if each lowers the residual by as much as this one did. What
         # the first evaluation, at the guess, has before it says nothing: it needs no new matrix.
         left = jnp.log(settings.tolerance / residual) / jnp.log(residual / before)
-        lasting = (length == 1.0) & (residual < before) & (left <= potential.chords)
+        lasting = (length == 1.0) & (residual < before) & (left <= potential.max_chord_steps)
         first = now.iterations < 0
-        outdated = ~solved & jnp.where(accepted, ~first & ~lasting, ~now.fresh)
+        needs_refactor = ~solved & jnp.where(accepted, ~first & ~lasting, ~now.is_current)
         # Near the solution rounding may leave no step that lowers the residual any further.
         stalled = before <= 100.0 * settings.tolerance
         status = jnp.select(
             [
                 solved,
                 accepted & (count > settings.max_iterations),
-                accepted | outdated | (now.part > shortest),
+                accepted | needs_refactor | (now.part > shortest),
                 stalled,
                 finite,
             ],
@@ -241,22 +243,22 @@ def equilibrium(
             point=_Point(q, value, gradient, residual),
             part=jnp.ones(()),
             iterations=count,
-            fresh=first,
+            is_current=first,
         )
         shorter = replace(now, part=0.5 * now.part)
         new = jax.tree.map(lambda a, b: jnp.where(accepted, a, b), here, shorter)
-        return replace(new, status=status.astype(jnp.int32), outdated=outdated)
+        return replace(new, status=status.astype(jnp.int32), needs_refactor=needs_refactor)
 
     infinite = jnp.array(jnp.inf, guess.dtype)
     start = _Search(
         point=_Point(guess, infinite, jnp.zeros_like(guess), infinite),
         part=jnp.ones(()),
         unit=settings.force_scale,
-        blurred=settings.tolerance,
+        noise_floor=settings.tolerance,
         iterations=jnp.array(-1, jnp.int32),  # the first evaluation is not a Newton step
         factorings=jnp.zeros((), jnp.int32),
-        fresh=jnp.array(True),
-        outdated=jnp.array(True),
+        is_current=jnp.array(True),
+        needs_refactor=jnp.array(True),
         status=jnp.array(_SEARCHING, jnp.int32),
     )
     end = lax.while_loop(lambda now: now.status == _SEARCHING, renew, start)
@@ -285,7 +287,7 @@ def _equilibrium_jvp(free, primals, tangents):
             clamped = _insert(d_guess, 0.0, free)
         _, d_gradient = push(lambda p, y: p.gradient(y), (potential, q), (d_potential, clamped))
     still, here, unit = lax.stop_gradient((potential, q, settings.force_scale))
-    solver, _ = still.factored(here, jnp.abs(here), unit, free, exact=True)
+    solver, _ = still.linearise(here, jnp.abs(here), unit, free, exact=True)
 
     def stiffness(x):
         """The Newton matrix times x: never computed, but what higher derivatives go through."""

@@ -80,7 +80,7 @@ class Autodiff:
 
 
 @dataclass(frozen=True)
-class Form:
+class QuadraticForm:
     """`1/2 u . A u` of the displacement u = local - origin, for data (origin (k,), A (k, k)).
 
     What local drag makes of a step: A is its resistance (N s/m) over the length of the step.
@@ -98,7 +98,7 @@ class Form:
         return data[1]
 
     @classmethod
-    def together(cls, parts: Sequence[tuple["Form", Any]]) -> tuple["Form", Any]:
+    def together(cls, parts: Sequence[tuple["QuadraticForm", Any]]) -> tuple["QuadraticForm", Any]:
         """Every drag of a stage is measured from the same origin."""
         origin = parts[0][1][0]
         return cls(), (origin, jnp.asarray(sum(a for _, (_, a) in parts)))
@@ -389,7 +389,7 @@ class Load(Contribution):
         return matrix
 
 
-class ForceLaw(Protocol):
+class MobilityOperator(Protocol):
     """A symmetric linear map of forces on wet nodes (N) to their velocities (m/s)."""
 
     @property
@@ -398,7 +398,7 @@ class ForceLaw(Protocol):
         ...
 
     @property
-    def coarse(self) -> "ForceLaw":
+    def coarse(self) -> "MobilityOperator":
         """Nearly the same map, and quicker: good enough for Newton's directions."""
         ...
 
@@ -406,7 +406,7 @@ class ForceLaw(Protocol):
         """The velocities for forces, differentiable in everything that they depend on."""
         ...
 
-    def resist(self, velocity: Float[Array, " m"]) -> Float[Array, " m"]:
+    def precondition(self, velocity: Float[Array, " m"]) -> Float[Array, " m"]:
         """Roughly the forces for velocities, those of every block as if it were alone."""
         ...
 
@@ -427,7 +427,7 @@ class Mobility:
     """
 
     dofs: Indices = static()
-    law: ForceLaw
+    law: MobilityOperator
     origin: Dofs
     time: Float[Array, ""]
 
@@ -438,7 +438,7 @@ class Potential:
 
     contributions: tuple[Contribution, ...]
 
-    chords = 8
+    max_chord_steps = 8
     """Steps that one may still have to take with a matrix that is out of date: more of them, at
     the rate at which the residual falls, cost more than a new matrix."""
 
@@ -494,7 +494,7 @@ class Potential:
             matrix = c.add_hessian(matrix, q)
         return matrix
 
-    def factored(
+    def linearise(
         self, q: Dofs, sizes: Dofs, unit: Dofs, free: tuple[int, ...] | None, exact: bool
     ) -> tuple[Factor, Dofs]:
         """What solves with the Newton matrix of the free degrees of freedom at q, and the forces

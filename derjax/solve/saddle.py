@@ -17,9 +17,9 @@ Newton's linear systems are solved by GMRES (Saad & Schultz, SIAM J. Sci. Stat. 
 R being the inverse of the mobility of every block by itself, K that part of the second derivative
 of E, and b, rho what is wanted of the two equations.
 
-In Newton's method A is a coarse one in these systems (`ForceLaw.coarse`). That costs some more
-iterations, of which each takes one product with A itself, for what is left of the equations; what
-they end at is the same. Derivatives are solved for with A itself.
+In Newton's method A is a coarse one in these systems (`MobilityOperator.coarse`). That costs some
+more iterations, of which each takes one product with A itself, for what is left of the equations;
+what they end at is the same. Derivatives are solved for with A itself.
 """
 
 from typing import Any
@@ -32,7 +32,7 @@ from jaxtyping import Array, Float
 from ..core.pytree import Indices, pytree, static
 from .blocks import BlockFactor, Layout, assemble, factor_blocks, multiply
 from .gmres import gmres
-from .potential import Dofs, ForceLaw, LocalHessians, Mobility, Potential
+from .potential import Dofs, LocalHessians, Mobility, MobilityOperator, Potential
 
 ROUGH, EXACT = 1e-2, 1e-13
 """By how much GMRES lowers the residual: in Newton's method, where the coarse far field leaves as
@@ -52,7 +52,7 @@ Unknowns = Float[Array, " d+m"]
 
 
 @pytree
-class Saddle:
+class SaddlePointSystem:
     """The equations of a stage, for the unknowns (q, f); see the module.
 
     The second equation is multiplied with a typical resistance over l, which makes forces of it.
@@ -73,7 +73,7 @@ class Saddle:
     free: Dofs
     scale: Dofs
 
-    chords = 8
+    max_chord_steps = 8
     """Steps that one may still have to take with a matrix that is out of date. Close to the
     solution it is the coarse far field that limits what a step gains, and not the matrix's age."""
 
@@ -97,8 +97,8 @@ class Saddle:
         """q with about the forces that the second equation has for it."""
         law = self.drag.law
         velocity = (q - self.drag.origin)[self.drag.dofs.array] / self.drag.time
-        alone = gmres(lambda u: law.coarse.apply(law.resist(u)), velocity, ROUGH, PRODUCTS)
-        return self.join(q, law.resist(alone))
+        alone = gmres(lambda u: law.coarse.apply(law.precondition(u)), velocity, ROUGH, PRODUCTS)
+        return self.join(q, law.precondition(alone))
 
     @property
     def scales(self) -> Unknowns:
@@ -147,7 +147,7 @@ class Saddle:
         gradient = self._left(z, gradient)
         move = (q - self.drag.origin)[self.drag.dofs.array]
         slip = self.split(gradient)[1] / self.stiffness
-        missing = ENOUGH * self.drag.law.resist(slip) @ slip / self.drag.time
+        missing = ENOUGH * self.drag.law.precondition(slip) @ slip / self.drag.time
         return value + 0.5 * f @ (move + slip) + missing, gradient
 
     def slope(self, gradient: Unknowns, direction: Unknowns) -> Array:
@@ -155,9 +155,9 @@ class Saddle:
         force, q = self.split(gradient)[0], self.split(direction)[0]
         return (self.free * force) @ q
 
-    def factored(
+    def linearise(
         self, z: Unknowns, sizes: Unknowns, unit: Unknowns, free: None, exact: bool
-    ) -> tuple["SaddleFactor", Unknowns]:
+    ) -> tuple["SaddlePointFactor", Unknowns]:
         """What solves with the Newton matrix at z, and what rounding makes of its forces.
 
         Raises:
@@ -176,7 +176,7 @@ class Saddle:
         absolute = [(dofs, jnp.abs(blocks)) for dofs, blocks in matrices]
         size = self.split(sizes)[0]
         rounding = multiply(absolute, size) + diagonal * size
-        solver = SaddleFactor(
+        solver = SaddlePointFactor(
             self,
             matrices,
             diagonal,
@@ -203,7 +203,7 @@ class _Still:
     def apply(self, force: Array) -> Array:
         return force
 
-    def resist(self, velocity: Array) -> Array:
+    def precondition(self, velocity: Array) -> Array:
         return velocity
 
 
@@ -216,8 +216,8 @@ def no_drag(layout: Layout) -> Mobility:
 
 
 @pytree
-class SaddleFactor:
-    """Solves with the Newton matrix of a `Saddle`.
+class SaddlePointFactor:
+    """Solves with the Newton matrix of a `SaddlePointSystem`.
 
     Attributes:
         saddle: the equations.
@@ -228,10 +228,10 @@ class SaddleFactor:
         exact: whether GMRES goes on until the solution is one, or NaN.
     """
 
-    saddle: Saddle
+    saddle: SaddlePointSystem
     matrices: LocalHessians
     diagonal: Dofs
-    law: ForceLaw
+    law: MobilityOperator
     near: BlockFactor
     exact: bool = static()
 
@@ -245,13 +245,13 @@ class SaddleFactor:
     def _roughly(self, b: Dofs, slip: Array) -> tuple[Dofs, Array]:
         """The changes of q and f for which the equations of blocks by themselves are met."""
         s = self.saddle
-        known = s._spread(s.drag.law.resist(slip)) / s.drag.time
+        known = s._spread(s.drag.law.precondition(slip)) / s.drag.time
         held = (1.0 - s.free) * b
-        drag = s._spread(s.drag.law.resist(held[s.drag.dofs.array])) / s.drag.time
+        drag = s._spread(s.drag.law.precondition(held[s.drag.dofs.array])) / s.drag.time
         stretched = multiply(self.matrices, held)
         b = jnp.where(s.free > 0, b + known - drag - stretched, b)
         q = self.near.solve(b)
-        return q, s.drag.law.resist(q[s.drag.dofs.array] - slip) / s.drag.time
+        return q, s.drag.law.precondition(q[s.drag.dofs.array] - slip) / s.drag.time
 
     def _solve(self, b: Dofs, slip: Array) -> tuple[Dofs, Array]:
         """The changes of q and f for which the two equations are met."""

@@ -7,7 +7,7 @@ from .elastic.bend import Bend as Bend
 from .elastic.stretch import Stretch as Stretch
 from .elastic.twist import Twist as Twist
 from .energy import Energy as Energy
-from .fluid.explicit import Lagged as Lagged
+from .fluid.explicit import ExplicitDrag as ExplicitDrag
 from .fluid.head import HeadDrag as HeadDrag
 from .fluid.resistive import ResistiveDrag as ResistiveDrag
 from .fluid.spin import SpinDrag as SpinDrag

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fitting.explore import explore
-from fitting.levenberg import Trial, minimise
+from fitting.levenberg import Evaluation, minimise
 from fitting.uncertainty import Residuals
 
 TIMES = np.arange(1.0, 61.0)
@@ -22,17 +22,17 @@ def model(
     noise: float,
     seed: int = 1,
     truth: np.ndarray = TRUTH,
-) -> Callable[[np.ndarray], Trial[None]]:
+) -> Callable[[np.ndarray], Evaluation[None]]:
     """Residuals against what `predict` says of the truth, plus noise that is not given."""
     exact, _ = predict(truth)
     data = exact + noise * np.random.default_rng(seed).normal(size=exact.size)
 
-    def evaluate(free: np.ndarray) -> Trial[None]:
+    def evaluate(free: np.ndarray) -> Evaluation[None]:
         evaluate.count += 1
         value, jacobian = predict(free)
         count = value.size
         unknown = np.full(count, np.nan)
-        return Trial(
+        return Evaluation(
             Residuals(value - data, jacobian, np.zeros(count, int), unknown, np.full(count, 1e-9)),
             None,
         )
@@ -144,7 +144,7 @@ def test_a_search_that_runs_away_ends_soon(noise: float) -> None:
 
     inner = model(saturating, noise)
 
-    def evaluate(free: np.ndarray) -> Trial[None]:
+    def evaluate(free: np.ndarray) -> Evaluation[None]:
         trial = inner(free)
         shift = np.concatenate([2.0 * TIMES, 0.0 * TIMES])
         moved = replace(trial.residuals, value=trial.residuals.value + shift)
@@ -188,7 +188,7 @@ def test_a_start_that_fails() -> None:
 def test_ctrl_c_gives_the_best_so_far() -> None:
     inner = model(wobbling, noise=0.1)
 
-    def evaluate(free: np.ndarray) -> Trial[None]:
+    def evaluate(free: np.ndarray) -> Evaluation[None]:
         if inner.count == 20:
             raise KeyboardInterrupt
         return inner(free)

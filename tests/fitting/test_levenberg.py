@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from fitting.levenberg import Trial, minimise
+from fitting.levenberg import Evaluation, minimise
 from fitting.uncertainty import Residuals
 
 
-def trial_of(value: np.ndarray, jacobian: np.ndarray) -> Trial[None]:
+def trial_of(value: np.ndarray, jacobian: np.ndarray) -> Evaluation[None]:
     m = value.size
     one = np.ones(m)
-    return Trial(Residuals(value, jacobian, np.zeros(m, int), one, 1e-9 * one), None)
+    return Evaluation(Residuals(value, jacobian, np.zeros(m, int), one, 1e-9 * one), None)
 
 
-def rosenbrock(free: np.ndarray) -> Trial[None]:
+def rosenbrock(free: np.ndarray) -> Evaluation[None]:
     x, y = free
     return trial_of(np.array([10 * (y - x**2), 1 - x]), np.array([[-20 * x, 10.0], [-1.0, 0.0]]))
 
@@ -97,7 +97,7 @@ RNG = np.random.default_rng(11)
 NOISE = 0.01 * RNG.normal(size=T.size)
 
 
-def decay(free: np.ndarray) -> Trial[None]:
+def decay(free: np.ndarray) -> Evaluation[None]:
     """A decay to a constant, with logarithms of amplitude and rate."""
     a, k = np.exp(free[:2])
     curve = a * np.exp(-k * T)
@@ -105,7 +105,7 @@ def decay(free: np.ndarray) -> Trial[None]:
     return trial_of(value, np.stack([curve, -k * T * curve, np.ones_like(T)], axis=1))
 
 
-def wave(free: np.ndarray) -> Trial[None]:
+def wave(free: np.ndarray) -> Evaluation[None]:
     """Amplitude, frequency and phase of a sine."""
     a, w, p = free
     value = a * np.sin(w * T + p) - (1.2 * np.sin(3.0 * T + 0.5) + NOISE)
@@ -118,7 +118,7 @@ def wave(free: np.ndarray) -> Trial[None]:
     [(decay, (0.0, 0.0, 0.0)), (wave, (0.5, 2.6, 0.2)), (rosenbrock, (-1.2, 1.0))],
 )
 def test_the_optimum_is_that_of_scipy(
-    model: Callable[[np.ndarray], Trial[None]], start: tuple[float, ...]
+    model: Callable[[np.ndarray], Evaluation[None]], start: tuple[float, ...]
 ) -> None:
     expected = least_squares(
         lambda free: model(free).residuals.value,
@@ -137,7 +137,7 @@ def test_the_optimum_is_that_of_scipy(
     assert len(found.history) <= expected.nfev + 10
 
 
-def beside_one_that_hardly_matters(free: np.ndarray) -> Trial[None]:
+def beside_one_that_hardly_matters(free: np.ndarray) -> Evaluation[None]:
     """A decay whose rate is known well, and a second parameter that is next to without effect."""
     k = np.exp(free[0])
     value = np.exp(-k * T) - np.exp(-1.5 * T) + 1e-8 * free[1] * T - 1e-3 * T
@@ -163,10 +163,10 @@ def test_a_parameter_that_hardly_matters_does_not_spoil_the_other() -> None:
     assert found.free[0] == pytest.approx(alone.free[0], abs=1e-4)
 
 
-def scaled(scale: np.ndarray) -> Callable[[np.ndarray], Trial[None]]:
+def scaled(scale: np.ndarray) -> Callable[[np.ndarray], Evaluation[None]]:
     """The decay with its parameters in other units."""
 
-    def model(free: np.ndarray) -> Trial[None]:
+    def model(free: np.ndarray) -> Evaluation[None]:
         trial = decay(free / scale)
         residuals = trial.residuals
         return trial_of(residuals.value, residuals.jacobian / scale)

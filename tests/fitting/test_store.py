@@ -11,17 +11,17 @@ import pytest
 from derjax import Status
 from derjax.core.errors import WriteWarning
 from derjax.integrate.frames import RolloutStats, new_stats
-from fitting.simulate import Simulated
+from fitting.simulate import SimulatedTrack
 from fitting.store import ARRAYS, MOST_IN_MEMORY, Store
 
 STEP = 0.05
 
 
-def simulated(steps: int, seed: int = 0, **report) -> Simulated:
+def simulated(steps: int, seed: int = 0, **report) -> SimulatedTrack:
     """Random numbers in the shape of a run of some steps with two parameters."""
     rng = np.random.default_rng(seed)
     t = steps + 1
-    return Simulated(
+    return SimulatedTrack(
         time=STEP * np.arange(t),
         observed=rng.normal(size=(t, 4)),
         sensitivity=rng.normal(size=(t, 4, 2)),
@@ -31,7 +31,7 @@ def simulated(steps: int, seed: int = 0, **report) -> Simulated:
     )
 
 
-def assert_same(found: list[Simulated] | None, expected: list[Simulated]) -> None:
+def assert_same(found: list[SimulatedTrack] | None, expected: list[SimulatedTrack]) -> None:
     """Bit by bit, and of the same types."""
     assert found is not None
     for one, other in zip(found, expected, strict=True):
@@ -49,7 +49,7 @@ def assert_same(found: list[Simulated] | None, expected: list[Simulated]) -> Non
 
 
 @pytest.fixture
-def runs() -> list[Simulated]:
+def runs() -> list[SimulatedTrack]:
     """Two runs of different lengths, one of which failed."""
     failed = {
         "status": np.asarray(Status.LINE_SEARCH, np.int32),

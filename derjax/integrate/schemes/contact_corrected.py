@@ -12,7 +12,7 @@ from ..step import Scene, Step
 from .euler import euler
 
 
-def corrected(scene: Scene, state: State, length: Array) -> Step:
+def contact_corrected_euler(scene: Scene, state: State, length: Array) -> Step:
     """A step of implicit Euler of a scene that has the term `SpillmannTeschner`.
 
     It ends when nothing overlaps, or after the term's number of tries; the overlap that is

@@ -7,11 +7,11 @@ from ...terms.term import Stage
 from ..step import (
     Scene,
     Step,
-    at_end,
-    expected_move,
+    finish_step,
     fluid_velocity,
     mean_acceleration,
     predict,
+    predicted_displacement,
     solve,
     turned,
 )
@@ -27,8 +27,10 @@ def euler(scene: Scene, state: State, length: Array) -> Step:
     prediction = predict(scene, state, 0.5 * length, length)
     flow = fluid_velocity(scene, prediction.configuration, state.time + 0.5 * length)
     stage = Stage(length, state.time + length, state.motor_angle + turn, fluid_velocity=flow)
-    q, info = solve(scene, prediction, state, stage, turn, expected_move(scene, state, length))
+    q, info = solve(
+        scene, prediction, state, stage, turn, predicted_displacement(scene, state, length)
+    )
     velocity = (q - state.q) / length
     acceleration = (velocity - state.velocity) / length
     error = 0.5 * length**2 * mean_acceleration(state, length, q)
-    return Step(at_end(scene, state, length, q, velocity, acceleration, turn), info, error)
+    return Step(finish_step(scene, state, length, q, velocity, acceleration, turn), info, error)

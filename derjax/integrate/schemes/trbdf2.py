@@ -32,11 +32,11 @@ from ...terms.term import Stage
 from ..step import (
     Scene,
     Step,
-    at_end,
-    expected_velocity,
+    finish_step,
     fluid_velocity,
     jerk,
     predict,
+    predicted_velocity,
     solve,
     turned,
 )
@@ -87,7 +87,7 @@ def trbdf2(scene: Scene, state: State, length: Array) -> Step:
         origin = state.q + known * state.velocity + found * before.velocity
         pace = state.velocity + known * state.acceleration + found * before.acceleration
         turn = turned(scene, state, end)
-        expected = expected_velocity(scene, state, end)
+        expected = predicted_velocity(scene, state, end)
         move = origin + part * (expected + before.surprise) - state.q
         prediction = predict(scene, state, end, length)
         flow = fluid_velocity(scene, prediction.configuration, state.time + end)
@@ -106,5 +106,5 @@ def trbdf2(scene: Scene, state: State, length: Array) -> Step:
     (last, info), _ = lax.scan(stage, start, stages)
     error = ERROR * length**3 * jerk(state, length, last.q)
     turn = turned(scene, state, length)
-    end = at_end(scene, state, length, last.q, last.velocity, last.acceleration, turn)
+    end = finish_step(scene, state, length, last.q, last.velocity, last.acceleration, turn)
     return Step(end, info, error)

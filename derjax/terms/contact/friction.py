@@ -25,7 +25,7 @@ from ...rods.vectors import dot, unit
 from ...solve.potential import Pairs
 from ..term import Prediction, Role, Stage, Term
 from .neighbours import Neighbours
-from .repulsion import Contact, Touch, force, meeting, weights
+from .repulsion import Contact, ContactLaw, force, meeting, weights
 
 
 def slip(
@@ -56,14 +56,14 @@ def slip(
     return across @ jnp.concatenate([nodes, *columns], axis=1), d
 
 
-def _pressed(local: Float[Array, " 12"], touch: Touch) -> tuple[Array, Array]:
+def _pressed(local: Float[Array, " 12"], touch: ContactLaw) -> tuple[Array, Array]:
     """The slip of a pair per displacement (3, 14), and its normal force (N)."""
     matrix, d = slip(local, touch.diameter)
     return matrix, force(d, touch)
 
 
 @pytree
-class Sliding:
+class SlipData:
     """One pair: slip per displacement (3, 14), where it was (14,), mu_f N, and h v_s."""
 
     slip: Array
@@ -73,18 +73,18 @@ class Sliding:
 
 
 @dataclass(frozen=True)
-class Rubbing:
+class FrictionDissipation:
     """h Phi of one pair of edges as a function of its nodes and angles."""
 
-    def __call__(self, local: Float[Array, " 14"], data: Sliding) -> Array:
+    def __call__(self, local: Float[Array, " 14"], data: SlipData) -> Array:
         u = data.slip @ (local - data.old)
         return data.strength * (jnp.sqrt(dot(u, u) + data.smallest**2) - data.smallest)
 
-    def gradient(self, local: Float[Array, " 14"], data: Sliding) -> Array:
+    def gradient(self, local: Float[Array, " 14"], data: SlipData) -> Array:
         u = data.slip @ (local - data.old)
         return data.strength / jnp.sqrt(dot(u, u) + data.smallest**2) * (u @ data.slip)
 
-    def hessian(self, local: Float[Array, " 14"], data: Sliding) -> Array:
+    def hessian(self, local: Float[Array, " 14"], data: SlipData) -> Array:
         u = data.slip @ (local - data.old)
         size = jnp.sqrt(dot(u, u) + data.smallest**2)
         inner = jnp.eye(3) - jnp.outer(u / size, u / size)
@@ -143,10 +143,10 @@ class Friction(Term):
         return Grip(dofs, close.taken, slips, normal_force)
 
     def contribution(self, rod: Rod, state: State, stage: Stage, cache: Grip) -> Pairs:
-        data = Sliding(
+        data = SlipData(
             slip=cache.slip,
             old=stage.origin_from(state)[cache.dofs],
             strength=self.coefficient * cache.normal_force,
             smallest=jnp.broadcast_to(self.slip_speed * stage.length, len(cache.dofs)),
         )
-        return Pairs(cache.dofs, cache.taken, Rubbing(), data)
+        return Pairs(cache.dofs, cache.taken, FrictionDissipation(), data)

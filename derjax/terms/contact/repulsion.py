@@ -33,14 +33,14 @@ RAMP = 0.01
 
 
 @pytree
-class Touch:
+class ContactLaw:
     """What two edges repel each other by: stiffness (N/m) and diameter (m)."""
 
     stiffness: Array
     diameter: Array
 
 
-def energy(d: Array, touch: Touch) -> Array:
+def energy(d: Array, touch: ContactLaw) -> Array:
     """J, at a distance d (m)."""
     width = RAMP * touch.diameter
     p = jnp.maximum(touch.diameter - d, 0.0)
@@ -50,14 +50,14 @@ def energy(d: Array, touch: Touch) -> Array:
     )
 
 
-def force(d: Array, touch: Touch) -> Array:
+def force(d: Array, touch: ContactLaw) -> Array:
     """N, by which two edges at a distance d (m) repel each other."""
     width = RAMP * touch.diameter
     p = jnp.maximum(touch.diameter - d, 0.0)
     return touch.stiffness * jnp.where(p < width, 0.5 * p**2 / width, p - 0.5 * width)
 
 
-def _stiffness(d: Array, touch: Touch) -> Array:
+def _stiffness(d: Array, touch: ContactLaw) -> Array:
     width = RAMP * touch.diameter
     p = jnp.maximum(touch.diameter - d, 0.0)
     return touch.stiffness * jnp.minimum(p / width, 1.0)
@@ -76,17 +76,17 @@ def weights(at: Near) -> Float[Array, " 4"]:
 
 
 @dataclass(frozen=True)
-class Repulsion:
+class ContactEnergy:
     """The energy of one pair of edges as a function of its four nodes."""
 
-    def __call__(self, local: Float[Array, " 12"], data: Touch) -> Array:
+    def __call__(self, local: Float[Array, " 12"], data: ContactLaw) -> Array:
         return energy(meeting(local, data.diameter)[1], data)
 
-    def gradient(self, local: Float[Array, " 12"], data: Touch) -> Array:
+    def gradient(self, local: Float[Array, " 12"], data: ContactLaw) -> Array:
         at, d = meeting(local, data.diameter)
         return jnp.outer(weights(at), -force(d, data) / d * at.gap).ravel()
 
-    def hessian(self, local: Float[Array, " 12"], data: Touch) -> Array:
+    def hessian(self, local: Float[Array, " 12"], data: ContactLaw) -> Array:
         at, d = meeting(local, data.diameter)
         x0, x1, y0, y1 = local.reshape(4, 3)
         w, pull = weights(at), -force(d, data) / d
@@ -130,13 +130,13 @@ class Contact(Term):
         return replace(self, capacity=min(2 * self.capacity, len(self.pairs.array)))
 
     @property
-    def touch(self) -> Touch:
+    def touch(self) -> ContactLaw:
         """Of every place of the list."""
-        return Touch(
+        return ContactLaw(
             jnp.broadcast_to(self.stiffness, self.capacity),
             jnp.broadcast_to(2.0 * self.radius, self.capacity),
         )
 
     def contribution(self, rod: Rod, state: State, stage: Stage, cache: Neighbours) -> Pairs:
         dofs = (3 * cache.nodes[:, :, None] + jnp.arange(3)).reshape(-1, 12)
-        return Pairs(dofs, cache.taken, Repulsion(), self.touch, cache)
+        return Pairs(dofs, cache.taken, ContactEnergy(), self.touch, cache)

@@ -26,7 +26,7 @@ from .segments import between, closest
 
 @pytree
 class SpillmannTeschner(Term):
-    """Constant forces on touching rods, corrected try by try (see `corrected`).
+    """Constant forces on touching rods, corrected try by try (see `contact_corrected_euler`).
 
     Attributes:
         radius: r_0, m, of the rod.

@@ -154,7 +154,7 @@ class BlockMobility:
         """And back."""
         return blocks.reshape(*self._there.shape, 3)[np.nonzero(self._there)].ravel()
 
-    def resist(self, velocity: Float[Array, " w"]) -> Float[Array, " w"]:
+    def precondition(self, velocity: Float[Array, " w"]) -> Float[Array, " w"]:
         """The forces (N) that move every block as if it were alone (m/s)."""
         return self.flat(jnp.einsum("bij,bj->bi", self.resistance, self.blocks(velocity)))
 
@@ -197,12 +197,12 @@ def _of_points(
 
     def on(given: tuple[Array, Array, Array]) -> Float[Array, "p 3"]:
         targets, own, felt = given
-        blurred = own[:, None] - 2.0 * targets @ source.T + (squares + eps2)
-        blurred = jnp.maximum(blurred, eps2)
+        noise_floor = own[:, None] - 2.0 * targets @ source.T + (squares + eps2)
+        noise_floor = jnp.maximum(noise_floor, eps2)
         weight = jnp.repeat(felt, size, total_repeat_length=source.shape[0])
-        cubed = weight / (blurred * jnp.sqrt(blurred))
+        cubed = weight / (noise_floor * jnp.sqrt(noise_floor))
         pulled = ((targets @ force.T - work) * cubed) @ extended
-        return ((blurred + eps2) * cubed) @ force + pulled[:, 3:] * targets - pulled[:, :3]
+        return ((noise_floor + eps2) * cubed) @ force + pulled[:, 3:] * targets - pulled[:, :3]
 
     return lax.map(on, (points, squares.reshape(-1, size), felt))
 

@@ -9,7 +9,7 @@ from ..term import Prediction, Role, Stage, Term, standing
 
 
 @pytree
-class Lagged(Term):
+class ExplicitDrag(Term):
     """A dissipation whose force is that of the positions and velocities at the start.
 
     The force -dPhi/dv at the old velocity is the gradient of the implicit contribution at
@@ -32,11 +32,11 @@ class Lagged(Term):
                 stage of a scheme other than Euler's.
         """
         if stage.origin is not None:
-            raise ValueError("explicit drag (Lagged) is only for the scheme euler")
+            raise ValueError("explicit drag (ExplicitDrag) is only for the scheme euler")
         drag = self.drag.contribution(rod, state, stage, cache)
         if isinstance(drag, Mobility):
             raise ValueError(
-                "explicit drag (Lagged) needs forces from velocities, which BlockStokeslets do not "
+                "explicit drag needs forces from velocities, which BlockStokeslets do not "
                 "give; build the scene with [solver] method = 'dense', or another [time] scheme"
             )
         if drag.guard is not None:

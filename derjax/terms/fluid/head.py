@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from ...core.pytree import Indices, pytree
 from ...rods.rod import Head, Rod, State, positions
 from ...rods.vectors import holonomy, norm, unit
-from ...solve.potential import Elements, Form
+from ...solve.potential import Elements, QuadraticForm
 from ..term import Prediction, Role, Stage, Term
 
 
@@ -49,7 +49,7 @@ class HeadDrag(Term):
         dofs = np.append(nodes, topology.edge_dofs(head.edges))
         resistance = self.resistance(cache, first, len(head.edges))
         data = stage.fluid_origin_from(state)[dofs][None], resistance[None] / stage.length
-        return Elements(Indices(dofs[None]), Form(), data)
+        return Elements(Indices(dofs[None]), QuadraticForm(), data)
 
     def resistance(
         self, line: Float[Array, " 3"], first: Float[Array, " 3"], n_edges: int

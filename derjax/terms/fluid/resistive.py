@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from ...core.pytree import Indices, pytree
 from ...rods.rod import Rod, State, positions
 from ...rods.vectors import dot, unit
-from ...solve.potential import Elements, Form
+from ...solve.potential import Elements, QuadraticForm
 from ..term import Prediction, Role, Stage, Term
 
 
@@ -76,4 +76,4 @@ class ResistiveDrag(Term):
         along = tangent[:, :, None] * tangent[:, None, :]
         resistance = weight * (self.normal * jnp.eye(3) + (self.parallel - self.normal) * along)
         data = stage.fluid_origin_from(state)[dofs], resistance / stage.length
-        return Elements(Indices(dofs), Form(), data)
+        return Elements(Indices(dofs), QuadraticForm(), data)

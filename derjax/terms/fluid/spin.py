@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from ...core.pytree import Indices, pytree
 from ...rods.rod import Rod, State, Topology, positions
 from ...rods.vectors import holonomy, norm, unit
-from ...solve.potential import Elements, Form
+from ...solve.potential import Elements, QuadraticForm
 from ..term import Prediction, Role, Stage, Term
 
 
@@ -50,7 +50,7 @@ class SpinDrag(Term):
             stage.fluid_origin_from(state)[dofs],
             zeta[:, None, None] * spin[:, :, None] * spin[:, None, :],
         )
-        return Elements(Indices(dofs), Form(), data)
+        return Elements(Indices(dofs), QuadraticForm(), data)
 
 
 def _wet_edges(topology: Topology) -> np.ndarray:
