@@ -38,18 +38,12 @@ import numpy as np
 import pandas as pd
 from IPython.display import display
 
-from derjax import SceneFile, angles, build, load_scene, positions, roll_frames
-from derjax.core.runtime import enable_compilation_cache
-from derjax.results import plots, summary
-from derjax.results.dataset import to_dataset
-from derjax.solve.potential import gather
-from derjax.terms import Stage
-from derjax.terms.term import contributions
+import derjax as dj
 from fitting import calibrate, load_dataset
 from fitting.report import figure as fit_figure
 from fitting.report import table as fit_table
 
-enable_compilation_cache()  # the second time this notebook does not wait for the compiler
+dj.enable_compilation_cache()  # the second time this notebook does not wait for the compiler
 plt.rcParams.update({"figure.dpi": 80, "axes.spines.top": False, "axes.spines.right": False})
 
 # %% [markdown]
@@ -88,17 +82,16 @@ tolerance = 1e-12   # far below what pictures need: we are going to compare deri
 """
 path = Path(tempfile.mkdtemp()) / "scene.toml"
 path.write_text(SCENE)
-file = load_scene(path)
+file = dj.load_scene(path)
 
 # %% [markdown]
-# `build` turns the file into a `Scene` and the `State` in which the robot starts. The *terms* are
+# `build` turns the file into a `Scene`, whose `start` is the robot at rest. The *terms* are
 # the physical ingredients; one that a scene does not name is not in the compiled program.
 
 # %%
-scene = build(file)
-start = scene.start
-topology = scene.rod.topology
-print("terms:", ", ".join(type(term).__name__ for term in scene.terms))
+scene = dj.build(file)
+start, topology = scene.start, scene.rod.topology
+print(scene)
 print(f"{topology.n_nodes} nodes, {topology.n_edges} edges, {topology.n_dofs} degrees of freedom")
 
 # %% [markdown]
@@ -113,21 +106,12 @@ print(f"{topology.n_nodes} nodes, {topology.n_edges} edges, {topology.n_dofs} de
 # Every term contributes its share. The motor works through $E$: by the end of the step it has
 # added an angle to the natural twist at its place.
 
+
 # %%
-h = scene.step_length
-end = start.time + h
-stage = Stage(h, end, start.motor_angle + scene.motor.turned(start.time, end))
-
-
-def step_potential(state):
-    """The incremental potential of the step that starts in `state`."""
-    return gather(contributions(scene.terms, scene.rod, state, stage))
-
-
 @jax.jit
 def expand(q, direction):
     """P, its gradient and Hessian as derjax assembles them, and what JAX alone makes of P."""
-    potential = step_potential(start)
+    potential = dj.potential(scene, start, scene.step_length)
     by_jax = jax.grad(potential.value)(q)
     along = jax.jvp(potential.gradient, (q,), (direction,))[1]
     return potential.value(q), potential.gradient(q), potential.hessian(q), by_jax, along
@@ -183,30 +167,26 @@ plt.close(figure)
 # %% [markdown]
 # ## 3. A run
 #
-# `roll_frames` takes the steps, in one compiled program. It returns the states at the end of every
-# frame and a report; a step that fails never raises in compiled code, so the report must be asked.
+# `rollout` takes the steps, in one program that is compiled once. A step that fails never raises
+# in compiled code: outside of it there is a warning, and `raise_if_failed` makes it an error. The
+# red ball is the head, drawn to scale.
 
 # %%
-run = jax.jit(roll_frames, static_argnums=(2, 3))
-states, report = run(scene, start, file.n_frames, file.steps_per_frame)
-report.raise_if_failed()
-print(f"{int(report.steps)} steps, {int(report.iterations)} Newton iterations: {report.message()}")
+run = dj.rollout(scene)
+run.raise_if_failed()
+print(run)
+display(run.plot("shape"))
+
+# %%
+display(run.plot("track"))
 
 # %% [markdown]
-# `to_dataset` labels a trajectory (with xarray), in the form that `derjax simulate` writes to a
-# file. The red ball is the head, drawn to scale.
+# `run.to_dataset()` is the trajectory with labels and units (xarray), as `derjax simulate` writes it
+# to a file, and `run.summary()` has the few numbers that a run is remembered by.
 
 # %%
-whole = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, states)
-trajectory = to_dataset(scene, whole)
-display(plots.shape(trajectory, moments=2))
-
-# %%
-display(plots.track(trajectory))
-
-# %%
-display(plots.speed(trajectory))
-numbers = summary.summarise(trajectory)
+display(run.plot("speed"))
+numbers = run.summary()
 print(f"speed             {1e3 * numbers['v_x_m_per_s']:8.3f} mm/s along x")
 print(f"rate of the head  {numbers['head_rate_rad_per_s']:8.3f} rad/s about its axis")
 print(f"propulsive force  {1e3 * numbers['propulsive_force_N']:8.3f} mN along x")
@@ -227,18 +207,15 @@ NAMES = ("C_t", "C_r", "youngs_modulus", "viscosity", "pitch", "helix_radius")
 nominal = jnp.log(jnp.array([file.parameters[name] for name in NAMES]))
 
 
-def swim(logarithms, run=roll_frames):
+@jax.jit
+def swim(logarithms):
     """Displacement (m) and angle (rad) of the head at the end of the run."""
-    built = build(file, dict(zip(NAMES, jnp.exp(logarithms), strict=True)))
-    rest = built.start
-    states, _ = run(built, rest, file.n_frames, file.steps_per_frame)
-    end = jax.tree.map(lambda leaf: leaf[-1], states)
-    moved = positions(topology, end.q - rest.q)[0, 0]
-    turned = angles(topology, end.q)[0] + 2 * jnp.pi * end.turns[0]
-    return jnp.stack([moved, turned])
+    run = dj.rollout(scene.replace(**dict(zip(NAMES, jnp.exp(logarithms), strict=True))))
+    moved = run.head_position[-1, 0] - run.head_position[0, 0]
+    return jnp.stack([moved, run.head_angle[-1]])
 
 
-moved, turned = swim(nominal, run)
+moved, turned = swim(nominal)
 forward = jax.jit(jax.jacfwd(swim))(nominal)
 reverse = jax.jit(jax.grad(lambda p: swim(p)[0]))(nominal)
 print(f"moved {1e3 * float(moved):.4f} mm, turned {float(turned):.4f} rad")
@@ -253,7 +230,7 @@ print(f"moved {1e3 * float(moved):.4f} mm, turned {float(turned):.4f} rad")
 STEP = 1e-3
 difference = jnp.stack(
     [
-        (swim(nominal + step, run) - swim(nominal - step, run)) / (2 * STEP)
+        (swim(nominal + step) - swim(nominal - step)) / (2 * STEP)
         for step in STEP * jnp.eye(len(NAMES))
     ],
     axis=1,
@@ -321,7 +298,7 @@ print(f"start: C_t = {dataset.scene.head.C_t}, C_r = {dataset.scene.head.C_r}")
 # %%
 content = dataset.scene.model_dump(exclude_unset=True)
 content["head"] |= {"rotation": "spin"}
-dataset = replace(dataset, scene=SceneFile.model_validate(content), runs=(track,))
+dataset = replace(dataset, scene=dj.SceneFile.model_validate(content), runs=(track,))
 way = []
 
 
