@@ -181,8 +181,8 @@ display(run.plot("shape"))
 display(run.plot("track"))
 
 # %% [markdown]
-# `run.to_dataset()` is the trajectory with labels and units (xarray), as `derjax simulate` writes it
-# to a file, and `run.summary()` has the few numbers that a run is remembered by.
+# `run.to_dataset()` is the trajectory with labels and units (xarray), as `derjax simulate` writes
+# it to a file, and `run.summary()` has the few numbers that a run is remembered by.
 
 # %%
 display(run.plot("speed"))

@@ -3,7 +3,7 @@
     python docs/examples/tour.py [DIRECTORY]
 
 Figures and films go to the directory, by default one that is thrown away. The robot is divided
-coarsely, with local drag, so that all of it takes a minute, most of which is compilation.
+coarsely, with local drag, so that all of it takes one or two minutes, most of them compilation.
 """
 
 import sys
@@ -70,18 +70,15 @@ def main(directory: Path) -> None:
     with np.printoptions(precision=2, suppress=False):
         print(np.asarray(dj.resistance(scene)))
 
-    print(
-        "8. An own ingredient in one line: the tip is held by a trap, whose stiffness is a number"
-    )
+    print("8. An own ingredient in one line: a trap that holds the tip")
     target = dj.positions(scene.rod.topology, scene.start.q)[-1]
 
     def held(stiffness: jax.Array) -> jax.Array:
         spring = dj.Energy(trap, nodes=[-1], data=(stiffness, target))
         return moved(dj.rollout(scene.with_term(spring)))
 
-    print(
-        f"   {float(held(jnp.array(0.1))):.3g} m, {float(jax.jit(jax.jacfwd(held))(0.1)):.3g} m^2/N"
-    )
+    slope = jax.jit(jax.jacfwd(held))(jnp.array(0.1))
+    print(f"   {float(held(jnp.array(0.1))):.3g} m, {float(slope):.3g} m^2/N")
 
     print("9. Many runs at once")
     rates = jnp.array([30.0, 60.0, 90.0])
