@@ -9,9 +9,10 @@ of [robot] (`edge_length`, `phase`, ...), and whole tables (`time={"end": 5.0}`)
 from typing import Any
 
 from .core.errors import InputError
+from .scenes.extensions import extension_names
 from .scenes.file import Robot, SceneFile
 from .scenes.messages import checked
-from .scenes.parameters import PLACES
+from .scenes.parameters import PLACES, place_of
 
 
 def single_flagellum(**numbers: Any) -> SceneFile:
@@ -53,10 +54,10 @@ def clamped(n_flagella: int, **numbers: Any) -> SceneFile:
 def _file(kind: str, numbers: dict[str, Any]) -> SceneFile:
     content: dict[str, Any] = {"robot": {"kind": kind}}
     for name, value in numbers.items():
-        if name in SceneFile.model_fields:
+        if name in SceneFile.model_fields or name in extension_names():
             content[name] = {**content.get(name, {}), **value}
         elif name in PLACES:
-            table, key = PLACES[name].split(".")
+            table, key = place_of(name)
             content.setdefault(table, {})[key] = value
         elif name in Robot.model_fields:
             content["robot"][name] = value

@@ -14,7 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from derjax.io.output import Output
-from derjax.scenes.file import UNITS
+from derjax.scenes.extensions import unit_of
 
 from .observe import ANGLE, CHANNELS
 from .outcome import Fit, RunFit
@@ -38,7 +38,7 @@ def as_dict(fit: Fit) -> dict[str, Any]:
                 "std": _finite(e.std),
                 "ci95": [_finite(end) for end in e.ci95],
                 "widened": e.widened,
-                "unit": UNITS.get(name, ""),
+                "unit": unit_of(name),
                 "start": fit.start[name],
             }
             for name, e in fit.estimates.items()
@@ -91,7 +91,7 @@ def table(fit: Fit) -> str:
     width = max(len(name) for name in fit.estimates)
     lines = []
     for name, e in fit.estimates.items():
-        unit = UNITS.get(name, "1")
+        unit = unit_of(name)
         unit = "" if unit == "1" else f" {unit}"
         if math.isfinite(e.std):
             # Two significant digits of the error, and the value to the same place.

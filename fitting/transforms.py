@@ -108,6 +108,8 @@ def choose(names: Sequence[str], known: Mapping[str, object]) -> Parameters:
             raise InputError("rpm cannot be fitted: every run has its own motor_rpm")
         if name not in fittable:
             raise InputError(f"no parameter {name!r}; the scene has {', '.join(fittable)}")
+        if np.ndim(known[name]) > 0:  # type: ignore[arg-type]
+            raise InputError(f"{name} is a list of numbers: only single numbers can be fitted")
         if name in names[:i]:
             raise InputError(f"parameter {name!r} is given twice")
     special = {"poisson_ratio": Interval(-1.0, 0.5)}

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from ..core.errors import InputError
 from ..io.output import output_directory
+from ..scenes import extensions
 
 HELP = "write a commented example scene, motor table and dataset"
 
@@ -53,4 +54,6 @@ def run(args: argparse.Namespace) -> int:
 
 def template(name: str) -> str:
     """The text of one of `FILES`."""
-    return (resources.files("derjax") / "scenes" / "templates" / name).read_text(encoding="utf-8")
+    path = resources.files("derjax") / "scenes" / "templates" / name
+    text = path.read_text(encoding="utf-8")
+    return text + extensions.template() if name == "scene.toml" else text

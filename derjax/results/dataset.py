@@ -27,8 +27,8 @@ from ..integrate.provenance import changed
 from ..integrate.step import Scene
 from ..io.files import atomic_path, make_room
 from ..rods.rod import State, Topology, angles, positions
+from ..scenes.extensions import unit_of
 from ..scenes.file import SceneFile
-from ..scenes.parameters import UNITS
 from ..terms.contact.repulsion import Contact
 from ..terms.fluid.head import HeadDrag
 from . import bundling
@@ -286,7 +286,7 @@ def _attributes(scene: Scene, file: SceneFile | None) -> dict[str, Any]:
         "derjax_version": version("derjax"),
         "jax_version": jax.__version__,
         **({} if file is None else {"scene_json": json.dumps(file.content(parameters))}),
-        "parameter_units": ", ".join(f"{name}: {UNITS[name]}" for name in parameters),
+        "parameter_units": ", ".join(f"{name}: {unit_of(name)}" for name in parameters),
         **({"changed_terms": ", ".join(others)} if others else {}),
         **parameters,
     }

@@ -40,7 +40,7 @@ from ..terms.term import Term
 from .defaults import SLIP
 from .file import Friction as FrictionTable
 from .file import InputError, SceneFile
-from .parameters import PLACES
+from .parameters import place_of
 from .shape import body_of, touching_pairs
 
 Parameters = Mapping[str, Any]
@@ -113,7 +113,7 @@ class Source:
         self.given = frozenset(name for name in given if file.given[name] is None)
         content = file.model_dump(mode="json")
         for name in file.parameters:
-            table, key = PLACES[name].split(".")
+            table, key = place_of(name)
             if content[table][key] is not None:  # None: it follows from the others
                 content[table][key] = "a number"
         times = file.motor_table and file.motor_table.time
@@ -245,6 +245,8 @@ def _terms(
     if scene.gravity is not None:
         acceleration = jnp.array(scene.gravity.acceleration)
         terms.append(Gravity(_buoyant_mass(scene, p, rod), acceleration))
+    for name, table in scene.extensions:
+        terms.append(table.term({key: p[f"{name}.{key}"] for key in table.NUMBERS}, rod))
     return terms
 
 

@@ -12,17 +12,24 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import (
+    Field,
+    SerializationInfo,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 from ..core.errors import InputError, InputWarning
 from ..io.fields import Count, Finite, NonNegative, Positive, Switch, Table
 from ..io.textfile import LEGACY, encoding_of, read_text
 from .defaults import REGULARIZATION, SLIP, completed
 from .effects import idle_keys
+from .extensions import Extension, extension, extension_names
 from .messages import check, checked
 from .motortable import Motor, MotorTable, read_motor_table
-from .parameters import PLACES
 from .parameters import UNITS as UNITS
+from .parameters import place_of
 from .plausibility import (
     USUAL_LENGTHS,
     check_angle,
@@ -313,6 +320,30 @@ class SceneFile(Table):
     gravity: Gravity | None = None
     solver: Solver = Solver()
     motor_table: MotorTable | None = Field(default=None, exclude=True)
+    extensions: tuple[tuple[str, Extension], ...] = Field(default=(), exclude=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _extended(cls, content: Any) -> Any:
+        """With the tables of extensions apart."""
+        if not isinstance(content, Mapping):
+            return content
+        own = [name for name in extension_names() if name in content]
+        if not own:
+            return content
+        rest = {name: table for name, table in content.items() if name not in own}
+        return rest | {"extensions": tuple((name, _extension(name, content[name])) for name in own)}
+
+    @model_serializer(mode="wrap")
+    def _with_extensions(
+        self, handler: SerializerFunctionWrapHandler, info: SerializationInfo
+    ) -> dict[str, Any]:
+        """With the tables of extensions among the others, as in the file."""
+        unset = info.exclude_unset
+        return handler(self) | {
+            name: table.model_dump(mode=info.mode, exclude_unset=unset)
+            for name, table in self.extensions
+        }
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> "SceneFile":
@@ -569,12 +600,32 @@ class SceneFile(Table):
             numbers["friction"] = self.friction.coefficient
         if isinstance(numbers["rpm"], tuple):
             numbers["rpm"] = np.array(numbers["rpm"])
+        for name, table in self.extensions:
+            for key in table.NUMBERS:
+                value = getattr(table, key)
+                whole = np.array(value, float) if isinstance(value, tuple | list) else value
+                numbers[f"{name}.{key}"] = whole
         return numbers
+
+
+def _extension(name: str, content: Any) -> Extension:
+    """The table of an extension, checked; `InputError` names table and key."""
+    if isinstance(content, Extension):
+        return content
+    if not isinstance(content, Mapping):
+        raise InputError(f"[{name}]: should be a table")
+    try:
+        return checked(extension(name), content)
+    except InputError as error:
+        said = str(error).splitlines()
+        raise InputError(
+            "\n".join(s if s.startswith(f"[{name}]") else f"[{name}] {s}" for s in said)
+        ) from None
 
 
 def _put(content: dict[str, Any], name: str, number: Any) -> None:
     """Puts a parameter into the tables of a file."""
-    table, key = PLACES[name].split(".")
+    table, key = place_of(name)
     content.setdefault(table, {})[key] = np.asarray(number).tolist()
 
 

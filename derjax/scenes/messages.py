@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from ..core.errors import InputError
+from .extensions import extension_names
 from .parameters import UNITS
 
 T = TypeVar("T", bound=BaseModel)
@@ -126,7 +127,7 @@ def _is_number(text: str) -> bool:
 
 def _unknown(model: type[BaseModel], tables: list[Any], key: str, given: Any) -> str:
     """What to say about a key that does not exist: where it belongs, or what was meant."""
-    known = _known_keys(model, tables)
+    known = [*_known_keys(model, tables), *(() if tables else model_tables(model))]
     close = difflib.get_close_matches(key, known, n=1)
     if isinstance(given, Mapping) and not tables:
         hint = f" Did you mean [{close[0]}]?" if close else ""
@@ -137,6 +138,11 @@ def _unknown(model: type[BaseModel], tables: list[Any], key: str, given: Any) ->
         return f"{where}: unknown key. It belongs in the table [{homes[0]}]"
     hint = f" Did you mean {close[0]!r}?" if close else ""
     return f"{where}: unknown key.{hint} Known keys: {', '.join(known)}"
+
+
+def model_tables(model: type[BaseModel]) -> tuple[str, ...]:
+    """Tables that a file may have beyond the fields of its model."""
+    return extension_names() if "extensions" in model.model_fields else ()
 
 
 def _known_keys(model: type[BaseModel], tables: list[Any] | None = None) -> list[str]:

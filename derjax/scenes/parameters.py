@@ -22,6 +22,13 @@ PLACES = {
 }
 """Where each parameter stands in a scene file: table and key."""
 
+
+def place_of(parameter: str) -> tuple[str, str]:
+    """Table and key of a parameter; those of extensions are named by both."""
+    table, _, key = PLACES.get(parameter, parameter).partition(".")
+    return table, key
+
+
 UNITS = {
     "helix_radius": "m",
     "pitch": "m",

@@ -12,7 +12,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from ...results.plots import MEAN, STYLE
-from ...scenes.file import UNITS
+from ...scenes.extensions import unit_of
+from ...scenes.parameters import UNITS
 from .file import Sweep
 
 Row = Mapping[str, str]
@@ -130,7 +131,7 @@ def _said(plan: Sweep, values: Sequence[str]) -> str:
 
 def _label(name: str) -> str:
     key = name.split(".")[-1]
-    unit = UNITS.get(key, "1")
+    unit = unit_of(name) if key not in UNITS else UNITS[key]
     return name if unit in ("1", key) else f"{name} ({unit})"
 
 

@@ -25,6 +25,7 @@ from pydantic import BaseModel, Field, create_model
 
 from ...core.errors import InputWarning
 from ...scenes.effects import idle_keys
+from ...scenes.extensions import extension_names
 from ...scenes.file import (
     Count,
     Finite,
@@ -36,7 +37,7 @@ from ...scenes.file import (
     read_toml,
     with_motor_table,
 )
-from ...scenes.parameters import PLACES
+from ...scenes.parameters import PLACES, place_of
 
 MOST_POINTS = 1_000_000
 
@@ -177,7 +178,8 @@ def _flat(vary: Mapping[str, Any]) -> dict[str, Any]:
     """With `robot.pitch = [...]`, which is a table within a table, under the key "robot.pitch"."""
     flat = {}
     for name, given in vary.items():
-        if name in SceneFile.model_fields and isinstance(given, Mapping):
+        is_table = name in SceneFile.model_fields or name in extension_names()
+        if is_table and isinstance(given, Mapping):
             flat |= {f"{name}.{key}": value for key, value in given.items()}
         else:
             flat[name] = given
@@ -206,7 +208,7 @@ def _key(path: Path, name: str, scene: SceneFile) -> str:
             raise InputError(
                 f"{path}: [vary] rpm: the scene has a motor table; vary 'motor.table' instead"
             )
-        return PLACES[name]
+        return ".".join(place_of(name))
     if name in PLACES:
         raise InputError(
             f"{path}: [vary] {name}: this scene has no such parameter; "

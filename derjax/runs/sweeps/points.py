@@ -20,7 +20,7 @@ from ...results import summary as summaries
 from ...rods.rod import State
 from ...scenes.build import build, enlarge
 from ...scenes.file import Contact, Fluid, Head, InputError, Material, Motor, SceneFile, Time
-from ...scenes.parameters import PLACES
+from ...scenes.parameters import place_of
 from ...scenes.shape import touching_pairs
 from ..batch import advance, build_many, everyone, pick, repeat, spread
 
@@ -114,7 +114,7 @@ def _form(file: SceneFile) -> Hashable:
     """
     content = file.model_dump(mode="json")
     for name in file.parameters:
-        table, key = PLACES[name].split(".")
+        table, key = place_of(name)
         content[table].pop(key)
     shapes = tuple((name, np.shape(value)) for name, value in file.parameters.items())
     times = file.motor_table and file.motor_table.time
