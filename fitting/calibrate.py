@@ -59,7 +59,7 @@ def calibrate(
 
     Args:
         dataset: tracks and scene.
-        parameters: names, keys of `SceneFile.parameters`.
+        parameters: names, keys of `SceneFile.single_numbers`.
         initial: where to start; by default the values of the scene.
         progress: called often, from the threads that simulate.
         explored: whether to look for other optima than the one that is downhill from the start.
@@ -110,7 +110,7 @@ def beginning(
     Raises:
         InputError: a parameter that does not exist or a start outside of its range.
     """
-    known = dataset.scene.parameters
+    known = dataset.scene.single_numbers
     chosen = choose(parameters, known)
     for name in initial:
         if name not in chosen.names:

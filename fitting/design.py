@@ -85,7 +85,7 @@ def design(
         InputError: unknown parameters, or a start outside of its bounds.
         SolverError: the simulation fails at the start.
     """
-    names = choose(tuple(bounds), scene.parameters).names
+    names = choose(tuple(bounds), scene.single_numbers).names
     for name, (low, high) in bounds.items():
         if not low < high:
             raise InputError(f"bounds of {name}: {low:g} is not less than {high:g}")
@@ -102,7 +102,7 @@ def design(
 
     found = descend(
         loss,
-        parameters.free(scene.parameters),
+        parameters.free(scene.single_numbers),
         steps=steps,
         rate=rate,
         on_step=lambda k, value, free: on_step(k, -value, values(jnp.asarray(free))),

@@ -165,7 +165,7 @@ def check_plausible(path: Path, run: Run, scene: SceneFile, described: RunFile) 
     robot = scene.robot
     rpm = scene.parameters["rpm"] if run.motor_rpm is None else run.motor_rpm
     size = robot_length(scene)
-    screw = robot.pitch * np.abs(rpm).max() / 60  # m/s
+    screw = max(robot.each("pitch")) * np.abs(rpm).max() / 60  # m/s
     duration = run.time[-1] - run.time[0]
     moved = np.linalg.norm(position - position[0], axis=1).max()
     names = ", ".join(
@@ -196,7 +196,7 @@ def check_plausible(path: Path, run: Run, scene: SceneFile, described: RunFile) 
 
 def robot_length(scene: SceneFile) -> float:
     """About the length (m) of the robot of a scene, from head to tip."""
-    return scene.robot.axial_length + 4 * scene.robot.edge_length
+    return max(scene.robot.each("axial_length")) + 4 * scene.robot.edge_length
 
 
 def _start_position(scene: SceneFile) -> np.ndarray:

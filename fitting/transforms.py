@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from derjax.scenes.file import InputError
+from derjax.core.errors import InputError
+from derjax.scenes.parameters import index_of
 
 
 class Transform(Protocol):
@@ -56,7 +57,7 @@ class Parameters:
     """Named parameters and how each is made free. Hashable, so that it can be static.
 
     Attributes:
-        names: keys of `SceneFile.parameters`.
+        names: keys of `SceneFile.single_numbers`.
         transforms: one for each name.
     """
 
@@ -102,15 +103,16 @@ def choose(names: Sequence[str], known: Mapping[str, object]) -> Parameters:
     """
     if not names:
         raise InputError("no parameters to fit")
-    fittable = [name for name in known if name != "rpm"]
+    fittable = [name for name in known if index_of(name)[0] != "rpm"]
     for i, name in enumerate(names):
-        if name == "rpm":
+        if index_of(name)[0] == "rpm":
             raise InputError("rpm cannot be fitted: every run has its own motor_rpm")
         if name not in fittable:
             raise InputError(f"no parameter {name!r}; the scene has {', '.join(fittable)}")
-        if np.ndim(known[name]) > 0:  # type: ignore[arg-type]
-            raise InputError(f"{name} is a list of numbers: only single numbers can be fitted")
         if name in names[:i]:
             raise InputError(f"parameter {name!r} is given twice")
+        base, place = index_of(name)
+        if place is not None and base in names:
+            raise InputError(f"{base} is that of all flagella: fit it, or {name} and others")
     special = {"poisson_ratio": Interval(-1.0, 0.5)}
     return Parameters(tuple(names), tuple(special.get(name, Log()) for name in names))

@@ -95,7 +95,7 @@ def to_dataset(
         "edge_end": _variable("edge", end, "1", "node at which the edge ends"),
         "filament": _variable(
             "edge",
-            _filament_of(topology),
+            topology.edge_filaments,
             "1",
             "number of the flagellum that the edge belongs to, -1 for the head",
         ),
@@ -125,15 +125,6 @@ def write(dataset: xr.Dataset, path: str | Path) -> None:
 
 def _variable(dims: str, values: Any, units: str, long_name: str) -> tuple[Any, ...]:
     return dims.split(), np.asarray(values), {"units": units, "long_name": long_name}
-
-
-def _filament_of(topology: Topology) -> np.ndarray:
-    """(e,): the filament that each edge lies on, -1 if none."""
-    number = np.full(topology.n_nodes, -1)
-    for k, path in enumerate(topology.filaments):
-        number[np.array(path)] = k
-    start, end = topology.edge_nodes.T
-    return np.where(number[start] == number[end], number[start], -1)
 
 
 def _motor(scene: Scene, states: State) -> dict[str, tuple[Any, ...]]:

@@ -82,6 +82,15 @@ class Topology:
         return np.array(self.hinges, dtype=np.int32).reshape(-1, 2)
 
     @cached_property
+    def edge_filaments(self) -> np.ndarray:
+        """(e,): the filament that each edge lies on, -1 if none."""
+        number = np.full(self.n_nodes, -1)
+        for k, path in enumerate(self.filaments):
+            number[np.array(path)] = k
+        start, end = self.edge_nodes.T
+        return np.where(number[start] == number[end], number[start], -1)
+
+    @cached_property
     def held_edges(self) -> np.ndarray:
         """(e,): which edges have both their nodes held in place."""
         return np.all(np.isin(self.edge_stencil.array, self.clamped), axis=1)

@@ -40,7 +40,7 @@ from ..terms.term import Term
 from .defaults import SLIP
 from .file import Friction as FrictionTable
 from .file import InputError, SceneFile
-from .parameters import place_of
+from .parameters import index_of, place_of
 from .shape import body_of, touching_pairs
 
 Parameters = Mapping[str, Any]
@@ -70,7 +70,8 @@ def build(scene: SceneFile, parameters: Parameters | None = None) -> Scene:
             the start.
     """
     given = dict(parameters or {})
-    _check_names(scene, given)
+    scene.check_names(given)
+    given = scene.whole(given)
     if not given or any(isinstance(value, Tracer) for value in jax.tree.leaves(given)):
         return build_unchecked(scene, given)
     _check_numbers(scene, given)
@@ -84,8 +85,8 @@ def build_unchecked(scene: SceneFile, parameters: Parameters) -> Scene:
         KeyError: a parameter that the scene does not have.
         InputError: parts of the robot of the file itself overlap.
     """
-    _check_names(scene, parameters)
-    return _assembled(scene, parameters, scene.parameters)
+    scene.check_names(parameters)
+    return _assembled(scene, scene.whole(parameters), scene.parameters)
 
 
 def _assembled(scene: SceneFile, given: Parameters, shape: Parameters) -> Scene:
@@ -131,22 +132,15 @@ class Source:
 
     def rebuilt(self, scene: Scene, changes: Parameters) -> Scene:
         """The scene with other parameters; see `Scene.replace`."""
-        _check_names(self.file, changes)
+        self.file.check_names(changes)
         open_ = {name for name, value in self.file.given.items() if value is None} - self.given
         kept = {name: value for name, value in scene.parameters.items() if name not in open_}
         new = build(self.file, {**kept, **changes})
         return replace(
             new,
             terms=(*new.terms, *scene.terms[len(new.terms) :]),
-            source=Source(self.file, self.given | changes.keys()),
+            source=Source(self.file, self.given | {index_of(name)[0] for name in changes}),
         )
-
-
-def _check_names(scene: SceneFile, given: Parameters) -> None:
-    known = scene.parameters
-    for name in given:
-        if name not in known:
-            raise KeyError(f"no parameter {name!r}; the scene has {', '.join(known)}")
 
 
 def _check_numbers(scene: SceneFile, given: Parameters) -> None:
@@ -213,13 +207,13 @@ def _terms(
     topology, fluid = rod.topology, scene.fluid
     radius, modulus = p["rod_radius"], p["youngs_modulus"]
     area, inertia = jnp.pi * radius**2, jnp.pi * radius**4 / 4
-    shear = modulus / (2 * (1 + p["poisson_ratio"]))
-    n_edges, n_hinges = topology.n_edges, len(topology.hinges)
-    relative = np.ones(n_hinges)
+    relative = np.ones(len(topology.hinges))
     relative[list(stiff_hinges)] = scene.head.stiffness
+    of_hinges = _of_hinges(topology, modulus)
+    shear = of_hinges / (2 * (1 + p["poisson_ratio"]))
     terms: list[Term] = [
-        Stretch(jnp.full(n_edges, modulus * area)),
-        Bend(modulus * inertia * relative),
+        Stretch(jnp.broadcast_to(_of_edges(topology, modulus) * area, topology.n_edges)),
+        Bend(of_hinges * inertia * relative),
         Twist(2 * shear * inertia * relative),
     ]
     if topology.head is not None and scene.head.drag == "stokes":
@@ -248,6 +242,24 @@ def _terms(
     for name, table in scene.extensions:
         terms.append(table.term({key: p[f"{name}.{key}"] for key in table.NUMBERS}, rod))
     return terms
+
+
+def _of_edges(topology: Topology, each: Array) -> Array:
+    """A number of each flagellum as one of each edge; that of the head's edges is the mean."""
+    if each.ndim == 0:
+        return each
+    flagellum = topology.edge_filaments
+    return jnp.where(flagellum >= 0, each[flagellum], jnp.mean(each))
+
+
+def _of_hinges(topology: Topology, each: Array) -> Array:
+    """A number of each flagellum as one of each hinge, that of those of its edges."""
+    if each.ndim == 0:
+        return each
+    inside = (topology.edge_filaments >= 0)[topology.hinge_edges].astype(float)
+    inside[inside.sum(axis=1) == 0] = 1.0
+    weight = inside / inside.sum(axis=1, keepdims=True)
+    return jnp.sum(weight * _of_edges(topology, each)[topology.hinge_edges], axis=1)
 
 
 def _contact(scene: SceneFile, p: dict[str, Array], rod: Rod, pairs: Indices) -> Contact:
@@ -386,7 +398,7 @@ def _motor(scene: SceneFile, p: dict[str, Array], topology: Topology) -> Motor:
 def _newton(scene: SceneFile, p: dict[str, Array], rod: Rod) -> NewtonSettings:
     """Residuals are measured in EI / L^2, the force that bends a flagellum by its own length."""
     length = jnp.sum(rod.rest_length) / scene.robot.count
-    bending = p["youngs_modulus"] * jnp.pi * p["rod_radius"] ** 4 / 4
+    bending = jnp.mean(p["youngs_modulus"]) * jnp.pi * p["rod_radius"] ** 4 / 4
     position = np.arange(rod.topology.n_dofs) < 3 * rod.topology.n_nodes
     force = jnp.where(position, bending / length**2, bending / length)
     return NewtonSettings(

@@ -3,6 +3,8 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
+
 REGULARIZATION = 1.67 / 1.6
 """Regularization of Stokeslet segments, in rod radii; see "The regularization" in the equations."""
 
@@ -12,9 +14,15 @@ fastest motor."""
 
 Numbers = Mapping[str, Any]
 
+
+def _mean(value: Any) -> Any:
+    """Of a number of each flagellum, if there is one for each."""
+    return value.mean() if np.ndim(value) else value
+
+
 FOLLOWING: Mapping[str, Callable[[Numbers], Any]] = {
     "regularization": lambda p: REGULARIZATION * p["rod_radius"],
-    "contact_stiffness": lambda p: p["youngs_modulus"] * p["rod_radius"],
+    "contact_stiffness": lambda p: _mean(p["youngs_modulus"]) * p["rod_radius"],
 }
 """The numbers that follow, each as a smooth function of others: m, N/m."""
 

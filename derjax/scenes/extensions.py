@@ -20,7 +20,7 @@ from ..core.errors import InputError
 from ..io.fields import Table
 from ..rods.rod import Rod
 from ..terms.term import Term
-from .parameters import UNITS
+from .parameters import UNITS, index_of
 
 GROUP = "derjax.terms"
 """Of the entry points."""
@@ -88,9 +88,10 @@ def forget() -> None:
 
 def unit_of(parameter: str) -> str:
     """The unit of a parameter of a scene; "1" if it has none that is known."""
-    if parameter in UNITS:
-        return UNITS[parameter]
-    table, _, key = parameter.partition(".")
+    name, _ = index_of(parameter)
+    if name in UNITS:
+        return UNITS[name]
+    table, _, key = name.partition(".")
     if table not in extension_names():
         return "1"
     return extension(table).NUMBERS.get(key, "1")

@@ -7,11 +7,13 @@ is not given has the value of the paper's table (Lim, Yadunandan & Jawed, Soft M
 
 import tomllib
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
+import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from pydantic import (
     Field,
     SerializationInfo,
@@ -28,8 +30,8 @@ from .effects import idle_keys
 from .extensions import Extension, extension, extension_names
 from .messages import check, checked
 from .motortable import Motor, MotorTable, read_motor_table
+from .parameters import EACH, index_of, place_of
 from .parameters import UNITS as UNITS
-from .parameters import place_of
 from .plausibility import (
     USUAL_LENGTHS,
     check_angle,
@@ -39,6 +41,9 @@ from .plausibility import (
     check_regularization,
 )
 from .timing import TimeGrid, time_grid
+
+PerFlagellum = Positive | tuple[Positive, ...]
+"""One number for all flagella, or a list with one for each."""
 
 Handedness = Literal["left", "right"]
 MOST_FLAGELLA, MOST_ON_A_HEAD = 64, 8
@@ -60,7 +65,8 @@ class Robot(Table):
 
     `n_flagella` is given for the kinds "branched" and "clamped". Flagella lie around the
     robot's axis, neighbours `separation` apart; `handedness` and `phase` (rad, about the axis
-    of each) are one for all, or a list with one for each. The shape "arc" is pre-bent by the
+    of each), `helix_radius`, `pitch` and `axial_length` are one for all, or a list with one for
+    each. The shape "arc" is pre-bent by the
     angle `bend` (rad).
     """
 
@@ -68,9 +74,9 @@ class Robot(Table):
     n_flagella: Annotated[Count, Field(le=MOST_FLAGELLA)] | None = None
     shape: Literal["helix", "straight", "arc"] = "helix"
     bend: Finite = 0.0
-    helix_radius: Positive = USUAL_LENGTHS["helix_radius"]
-    pitch: Positive = USUAL_LENGTHS["pitch"]
-    axial_length: Positive = USUAL_LENGTHS["axial_length"]
+    helix_radius: PerFlagellum = USUAL_LENGTHS["helix_radius"]
+    pitch: PerFlagellum = USUAL_LENGTHS["pitch"]
+    axial_length: PerFlagellum = USUAL_LENGTHS["axial_length"]
     rod_radius: Positive = USUAL_LENGTHS["rod_radius"]
     edge_length: Positive = USUAL_LENGTHS["edge_length"]
     head_radius: Positive = USUAL_LENGTHS["head_radius"]
@@ -84,6 +90,10 @@ class Robot(Table):
         """Number of flagella."""
         fixed = {"single_flagellum": 1, "two_flagella": 2}
         return fixed.get(self.kind) or self.n_flagella or 1
+
+    def each(self, key: str) -> tuple[float, ...]:
+        """A length of every flagellum, m."""
+        return _each(getattr(self, key), self.count)
 
     @property
     def hands(self) -> tuple[Handedness, ...]:
@@ -121,7 +131,9 @@ class Robot(Table):
             )
         if self.kind == "branched" and self.count > MOST_ON_A_HEAD:
             raise ValueError(f"n_flagella = {self.count}: at most {MOST_ON_A_HEAD} fit on a head")
-        for name, given in (("handedness", self.hands), ("phase", self.phases)):
+        lists = {"handedness": self.hands, "phase": self.phases}
+        lists |= {key: self.each(key) for key in ("helix_radius", "pitch", "axial_length")}
+        for name, given in lists.items():
             if len(given) != self.count:
                 raise ValueError(f"{name}: {len(given)} given for {_flagella(self.count)}")
         if self.count > 1 and self.separation <= 2 * self.rod_radius:
@@ -148,27 +160,35 @@ class Robot(Table):
             unused.add("head_radius")
         if self.count == 1:
             unused.add("separation")
-        return {key: getattr(self, key) for key in USUAL_LENGTHS if key not in unused}
+        chosen = {key: getattr(self, key) for key in USUAL_LENGTHS if key not in unused}
+        return {key: float(np.max(given)) for key, given in chosen.items()}
 
     @model_validator(mode="after")
     def _slender(self) -> Self:
-        if self.shape == "helix" and self.helix_radius < SHORTEST_LINK * self.edge_length:
+        radius, pitch = min(self.each("helix_radius")), min(self.each("pitch"))
+        length = min(self.each("axial_length"))
+        if self.shape == "helix" and radius < SHORTEST_LINK * self.edge_length:
             raise ValueError(
-                f"helix_radius = {self.helix_radius:g}: too small: the edge from the shaft to the "
+                f"helix_radius = {radius:g}: too small: the edge from the shaft to the "
                 f"helix has that length, and others the edge_length of {self.edge_length:g} m; "
                 "a straight flagellum has shape = 'straight'"
             )
-        if self.shape == "helix" and self.rod_radius >= 0.5 * self.pitch:
+        if self.shape == "helix" and self.rod_radius >= 0.5 * pitch:
             raise ValueError(
                 f"rod_radius = {self.rod_radius:g}: the turns of the helix overlap; "
-                f"it must be less than half the pitch of {self.pitch:g} m"
+                f"it must be less than half the pitch of {pitch:g} m"
             )
-        if self.edge_length > 0.34 * self.axial_length:
+        if self.edge_length > 0.34 * length:
             raise ValueError(
                 f"edge_length = {self.edge_length:g}: three edges must fit into "
-                f"the axial_length of {self.axial_length:g} m"
+                f"the axial_length of {length:g} m"
             )
         return self
+
+
+def _each(given: float | tuple[float, ...], count: int) -> tuple[float, ...]:
+    """What is given for each flagellum, or for all."""
+    return given if isinstance(given, tuple) else (given,) * count
 
 
 def _flagella(count: int) -> str:
@@ -178,7 +198,7 @@ def _flagella(count: int) -> str:
 class Material(Table):
     """[material] The flagellum: Young's modulus in Pa, density in kg/m^3."""
 
-    youngs_modulus: Positive = 1.255e6
+    youngs_modulus: PerFlagellum = 1.255e6
     poisson_ratio: Annotated[Finite, Field(gt=-1, le=0.5)] = 0.5
     density: Positive = 1260.0
 
@@ -360,10 +380,15 @@ class SceneFile(Table):
         check_regularization(regularization, robot.rod_radius)
         check_density(self.material.density, self.fluid.fluid_density)
         stokeslets = self.fluid.hydrodynamics == "rss"
-        if stokeslets and robot.shape == "helix" and regularization >= robot.pitch:
+        if (count := len(self.moduli)) != robot.count:
+            raise ValueError(
+                f"[material] youngs_modulus: {count} given for {_flagella(robot.count)}"
+            )
+        pitch = min(robot.each("pitch"))
+        if stokeslets and robot.shape == "helix" and regularization >= pitch:
             raise ValueError(
                 f"[fluid] regularization = {regularization:g}: must be less than "
-                f"the [robot] pitch of {robot.pitch:g} m"
+                f"the [robot] pitch of {pitch:g} m"
             )
         if stokeslets and regularization > FINEST * self.edge:
             raise ValueError(
@@ -407,13 +432,10 @@ class SceneFile(Table):
                 another, or friction of a robot whose motors stand still has no slip speed.
         """
         if self.fluid.hydrodynamics != "none":
-            check_modulus(
-                self.material.youngs_modulus,
-                self.robot.rod_radius,
-                self.robot.axial_length,
-                self.fluid.viscosity,
-                2 * np.pi / 60 * self.fastest_rpm,
-            )
+            rate = 2 * np.pi / 60 * self.fastest_rpm
+            radius, viscosity = self.robot.rod_radius, self.fluid.viscosity
+            for modulus, length in zip(self.moduli, self.robot.each("axial_length"), strict=True):
+                check_modulus(modulus, radius, length, viscosity, rate)
         try:
             _ = self.grid
         except ValueError as error:
@@ -424,6 +446,11 @@ class SceneFile(Table):
                 "[friction] slip_speed: must be given where all motors stand still (m/s; by "
                 f"default it is {SLIP:g} of the speed of the surface of a rod that a motor turns)"
             )
+
+    @property
+    def moduli(self) -> tuple[float, ...]:
+        """Young's modulus of every flagellum, Pa."""
+        return _each(self.material.youngs_modulus, self.robot.count)
 
     @property
     def fastest_rpm(self) -> float:
@@ -463,13 +490,14 @@ class SceneFile(Table):
 
     @property
     def edge(self) -> float:
-        """Length of the edges of the flagella, m."""
+        """Length of the edges of the flagella, m; the shortest if they differ."""
         robot = self.robot
-        contour = robot.axial_length
+        contours = np.array(robot.each("axial_length"))
         if robot.shape == "helix":
-            turn = float(np.hypot(2 * np.pi * robot.helix_radius, robot.pitch))
-            contour *= turn / robot.pitch
-        return contour / max(3, int(contour / robot.edge_length + 1e-9))
+            pitch = np.array(robot.each("pitch"))
+            contours *= np.hypot(2 * np.pi * np.array(robot.each("helix_radius")), pitch) / pitch
+        edges = [c / max(3, int(c / robot.edge_length + 1e-9)) for c in contours.tolist()]
+        return min(edges)
 
     @property
     def in_blocks(self) -> bool:
@@ -525,7 +553,49 @@ class SceneFile(Table):
 
         What the file does not give follows from the others, as far as it does so by default.
         """
-        return completed({**self.given, **others})
+        return completed({**self.given, **self.whole(others)})
+
+    @property
+    def single_numbers(self) -> dict[str, float]:
+        """The parameters that are one number each, as `pitch`, or `pitch[1]` of several."""
+        count, numbers = self.robot.count, {}
+        for name, value in self.parameters.items():
+            if np.ndim(value) == 0:
+                numbers[name] = float(value)
+            if name in EACH and np.ndim(value) <= 1 and count > 1:
+                every = np.broadcast_to(value, count)
+                numbers |= {f"{name}[{k}]": float(every[k]) for k in range(count)}
+        return numbers
+
+    def check_names(self, names: Iterable[str]) -> None:
+        """Refuses names of parameters that the scene does not have.
+
+        Raises:
+            KeyError: with a sentence that says which it has.
+        """
+        known, count = self.given, self.robot.count
+        for name in names:
+            base, place = index_of(name)
+            if base not in known:
+                raise KeyError(f"no parameter {name!r}; the scene has {', '.join(known)}")
+            if place is None:
+                continue
+            if base not in EACH or (base == "rpm" and self.motor_table is not None):
+                raise KeyError(f"no parameter {name!r}; {base} is not one of each flagellum")
+            if place >= count:
+                every = ", ".join(f"{base}[{k}]" for k in range(count))
+                raise KeyError(f"no parameter {name!r}; the robot has {every}")
+
+    def whole(self, numbers: Mapping[str, Any]) -> dict[str, Any]:
+        """`numbers` with those of one flagellum or motor, as `pitch[1]`, in lists for all."""
+        found = {name: value for name, value in numbers.items() if index_of(name)[1] is None}
+        for name, value in numbers.items():
+            base, place = index_of(name)
+            if place is not None:
+                found[base] = _with_one(
+                    found.get(base, self.given[base]), self.robot.count, place, value
+                )
+        return found
 
     def with_parameters(self, numbers: Mapping[str, Any]) -> "SceneFile":
         """The file in which some of the parameters stand with these numbers, checked.
@@ -535,7 +605,7 @@ class SceneFile(Table):
         """
         content = self.model_dump(exclude_unset=True)
         table = self.motor_table
-        for name, number in numbers.items():
+        for name, number in self.whole(numbers).items():
             if name == "rpm" and table is not None:
                 rates = {"time": table.time, "rpm": np.asarray(number).tolist()}
                 table = checked(MotorTable, rates)
@@ -598,14 +668,24 @@ class SceneFile(Table):
             numbers["contact_stiffness"] = self.contact.stiffness
         if self.rubbing and self.friction is not None:
             numbers["friction"] = self.friction.coefficient
-        if isinstance(numbers["rpm"], tuple):
-            numbers["rpm"] = np.array(numbers["rpm"])
+        for name in EACH:
+            if isinstance(numbers.get(name), tuple):
+                numbers[name] = np.array(numbers[name])
         for name, table in self.extensions:
             for key in table.NUMBERS:
                 value = getattr(table, key)
                 whole = np.array(value, float) if isinstance(value, tuple | list) else value
                 numbers[f"{name}.{key}"] = whole
         return numbers
+
+
+def _with_one(given: Any, count: int, place: int, value: Any) -> Any:
+    """(count,) what is given for all or for each, with another value in one place."""
+    if isinstance(given, Tracer) or isinstance(value, Tracer):
+        return jnp.broadcast_to(jnp.asarray(given, float), count).at[place].set(value)
+    every = np.array(np.broadcast_to(np.asarray(given, float), count))
+    every[place] = value
+    return every
 
 
 def _extension(name: str, content: Any) -> Extension:

@@ -1,5 +1,7 @@
 """The parameters of a scene: numbers that it can be differentiated with respect to."""
 
+import re
+
 PLACES = {
     "helix_radius": "robot.helix_radius",
     "pitch": "robot.pitch",
@@ -23,9 +25,20 @@ PLACES = {
 """Where each parameter stands in a scene file: table and key."""
 
 
+EACH = ("helix_radius", "pitch", "axial_length", "youngs_modulus", "rpm")
+"""Parameters that may have a value for each flagellum or motor: `pitch[1]` is the second one's."""
+
+
+def index_of(parameter: str) -> tuple[str, int | None]:
+    """The name of a parameter without its index, and the index; None if it has none."""
+    found = re.fullmatch(r"(.*)\[(\d+)\]", parameter)
+    return (parameter, None) if found is None else (found[1], int(found[2]))
+
+
 def place_of(parameter: str) -> tuple[str, str]:
     """Table and key of a parameter; those of extensions are named by both."""
-    table, _, key = PLACES.get(parameter, parameter).partition(".")
+    name, _ = index_of(parameter)
+    table, _, key = PLACES.get(name, name).partition(".")
     return table, key
 
 

@@ -26,6 +26,7 @@ from ..shapes import (
 from ..terms.contact.neighbours import PENETRATION, pairs_apart
 from ..terms.contact.segments import distance
 from .file import InputError, SceneFile
+from .parameters import EACH
 
 SHAPE = ("helix_radius", "pitch", "axial_length", "rod_radius", "separation", "bend")
 """The parameters that say which edges may touch."""
@@ -53,22 +54,32 @@ def body_of(scene: SceneFile, p: Mapping[str, Array]) -> RobotGeometry:
 
 
 def _filaments(scene: SceneFile, p: Mapping[str, Array]) -> tuple[list[Array], Array]:
-    """The filaments of a robot, each in a frame of its own, and the length of their edges."""
-    robot, length = scene.robot, p["axial_length"]
-    if robot.shape == "helix":
-        radius, pitch = p["helix_radius"], p["pitch"]
-        n_edges = edge_count(robot.helix_radius, robot.pitch, robot.axial_length, robot.edge_length)
-        edge = helix_contour(radius, pitch, length) / n_edges
-        filaments = [helix(radius, pitch, length, n_edges, hand) for hand in robot.hands]
-    else:
-        n_edges = max(3, math.floor(robot.axial_length / robot.edge_length + 1e-9))
-        edge = length / n_edges
-        bend = p.get("bend", jnp.zeros(()))
-        filaments = [arc(length, bend, n_edges) for _ in robot.hands]
-    return [
-        around(phase, nodes) if phase else nodes
-        for phase, nodes in zip(robot.phases, filaments, strict=True)
-    ], edge
+    """The filaments of a robot, each in a frame of its own, and the length of the head's edges.
+
+    That is the length of those of the flagella, or its mean if they differ.
+    """
+    robot, filaments, edges = scene.robot, [], []
+    for k, (hand, phase) in enumerate(zip(robot.hands, robot.phases, strict=True)):
+        length = _of(p["axial_length"], k)
+        own_length = robot.each("axial_length")[k]
+        if robot.shape == "helix":
+            radius, pitch = _of(p["helix_radius"], k), _of(p["pitch"], k)
+            own = robot.each("helix_radius")[k], robot.each("pitch")[k], own_length
+            n_edges = edge_count(*own, robot.edge_length)
+            edges.append(helix_contour(radius, pitch, length) / n_edges)
+            nodes = helix(radius, pitch, length, n_edges, hand)
+        else:
+            n_edges = max(3, math.floor(own_length / robot.edge_length + 1e-9))
+            edges.append(length / n_edges)
+            nodes = arc(length, p.get("bend", jnp.zeros(())), n_edges)
+        filaments.append(around(phase, nodes) if phase else nodes)
+    alike = all(np.ndim(p.get(name, 0.0)) == 0 for name in EACH)
+    return filaments, edges[0] if alike else sum(edges[1:], edges[0]) / len(edges)
+
+
+def _of(value: Array, flagellum: int) -> Array:
+    """The number of one flagellum."""
+    return value[flagellum] if jnp.ndim(value) else value
 
 
 def touching_pairs(scene: SceneFile, numbers: Mapping[str, Any] | None = None) -> Indices:
@@ -85,14 +96,19 @@ def touching_pairs(scene: SceneFile, numbers: Mapping[str, Any] | None = None) -
         InputError: parts of the robot overlap at the start.
     """
     numbers = scene.parameters if numbers is None else numbers
-    shape = tuple((name, float(numbers[name])) for name in SHAPE if name in numbers)
+    shape = tuple((name, _hashable(numbers[name])) for name in SHAPE if name in numbers)
     # Scenes are hashable, which type checkers do not see.
     hashable: Any = scene
     return _touching_pairs(hashable, shape)
 
 
+def _hashable(value: Any) -> float | tuple[float, ...]:
+    """A number, or one for each flagellum."""
+    return tuple(np.asarray(value).tolist()) if np.ndim(value) else float(value)
+
+
 @lru_cache(maxsize=64)
-def _touching_pairs(scene: SceneFile, shape: tuple[tuple[str, float], ...]) -> Indices:
+def _touching_pairs(scene: SceneFile, shape: tuple[tuple[str, Any], ...]) -> Indices:
     numbers = dict(shape)
     with jax.ensure_compile_time_eval():
         body = body_of(scene, {name: jnp.asarray(value) for name, value in shape})

@@ -37,7 +37,7 @@ from ...scenes.file import (
     read_toml,
     with_motor_table,
 )
-from ...scenes.parameters import PLACES, place_of
+from ...scenes.parameters import EACH, PLACES, index_of, place_of
 
 MOST_POINTS = 1_000_000
 
@@ -87,6 +87,8 @@ class Sweep:
         points: for every point a value for each key.
         mode: as in `SweepTable`.
         trajectories: whether to keep them.
+        usual: what parameters with a value for each flagellum are without being varied.
+        count: number of flagella.
     """
 
     path: Path
@@ -97,6 +99,8 @@ class Sweep:
     points: tuple[tuple[Any, ...], ...]
     mode: str
     trajectories: bool
+    usual: Mapping[str, Any]
+    count: int
 
     def varied(self, number: int) -> dict[str, Any]:
         """The values of a point, by the names that the sweep file has for them."""
@@ -116,7 +120,14 @@ class Sweep:
         content = {k: dict(v) if isinstance(v, Mapping) else v for k, v in self.scene.items()}
         for key, value in zip(self.keys, self.points[number], strict=True):
             table, name = key.split(".")
-            content.setdefault(table, {})[name] = value
+            base, place = index_of(name)
+            tables = content.setdefault(table, {})
+            if place is None:
+                tables[base] = value
+            else:
+                one = tables.get(base, self.usual[base])
+                every = list(one) if isinstance(one, list | tuple) else [one] * self.count
+                tables[base] = [*every[:place], value, *every[place + 1 :]]
         return content
 
 
@@ -143,6 +154,8 @@ def load_sweep(path: str | Path) -> Sweep:
         twice = next(k for k in keys if keys.count(k) > 1)
         raise InputError(f"{path}: [vary]: {twice} is given twice, by two names")
     values = {name: _values(path, name, given) for name, given in vary.items()}
+    known = scene.parameters
+    usual = {name: np.asarray(known[name]).tolist() for name in EACH if name in known}
     sweep = Sweep(
         path=path,
         scene_path=scene_path,
@@ -152,6 +165,8 @@ def load_sweep(path: str | Path) -> Sweep:
         points=tuple(_points(path, table.mode, values)),
         mode=table.mode,
         trajectories=table.trajectories,
+        usual=usual,
+        count=scene.robot.count,
     )
     for sentence in _idle(sweep):
         warnings.warn(sentence, InputWarning, stacklevel=2)
@@ -203,6 +218,12 @@ def _points(path: Path, mode: str, values: Mapping[str, list[Any]]) -> Iterator[
 def _key(path: Path, name: str, scene: SceneFile) -> str:
     """Where a varied key stands in the scene file."""
     known = scene.parameters
+    if index_of(name)[1] is not None:
+        try:
+            scene.check_names([name])
+        except KeyError as error:
+            raise InputError(f"{path}: [vary] {name}: {error.args[0]}") from None
+        return ".".join(place_of(name)) + name.removeprefix(index_of(name)[0])
     if name in known:
         if name == "rpm" and scene.motor_table is not None:
             raise InputError(

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...core.pytree import Indices, pytree
-from ...rods.rod import Rod, State, positions
+from ...rods.rod import Rod, State, Topology, positions
 from ...rods.vectors import dot, unit
 from ...solve.potential import Elements, QuadraticForm
 from ..term import Prediction, Role, Stage, Term
@@ -42,14 +42,14 @@ class ResistiveDrag(Term):
     """`Phi = sum over nodes of l/2 v . (zeta_par t t + zeta_perp (1 - t t)) v`.
 
     Attributes:
-        parallel: drag per length along the rod, Pa s.
-        normal: drag per length across the rod, Pa s.
+        parallel: drag per length along the rod, Pa s; or (f,) one for each filament.
+        normal: drag per length across the rod, Pa s; or (f,) one for each filament.
     """
 
     role: ClassVar[Role] = Role.DRAG
 
-    parallel: Float[Array, ""]
-    normal: Float[Array, ""]
+    parallel: Float[Array, "*f"]
+    normal: Float[Array, "*f"]
 
     def prepare(self, rod: Rod, state: State, prediction: Prediction) -> Float[Array, " d"]:
         """Where tangents are taken."""
@@ -74,6 +74,15 @@ class ResistiveDrag(Term):
         weight = jnp.concatenate(length)[:, None, None]
         tangent = jnp.concatenate(tangent)
         along = tangent[:, :, None] * tangent[:, None, :]
-        resistance = weight * (self.normal * jnp.eye(3) + (self.parallel - self.normal) * along)
+        parallel, normal = (_of_nodes(topology, z) for z in (self.parallel, self.normal))
+        resistance = weight * (normal * jnp.eye(3) + (parallel - normal) * along)
         data = stage.fluid_origin_from(state)[dofs], resistance / stage.length
         return Elements(Indices(dofs), QuadraticForm(), data)
+
+
+def _of_nodes(topology: Topology, each: Float[Array, "*f"]) -> Array:
+    """A number of each filament as one of each of their nodes, to multiply matrices with."""
+    if each.ndim == 0:
+        return each
+    counts = np.array([len(path) for path in topology.filaments])
+    return jnp.repeat(each, counts, total_repeat_length=int(counts.sum()))[:, None, None]
