@@ -174,7 +174,7 @@ if len(sys.argv) > 2:
     jax.distributed.initialize(sys.argv[2], 2, int(sys.argv[3]))
 import numpy as np
 from derjax import SceneFile
-from derjax.batch import advance, build_many, everyone, mine, spread
+from derjax.runs.batch import advance, build_many, everyone, mine, spread
 file = SceneFile.model_validate_json({file!r})
 scenes = build_many(file, {{"rpm": np.array({rates}), "C_t": np.array({prefactors})}})
 batch = spread(scenes, scenes.start)

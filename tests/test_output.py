@@ -80,7 +80,7 @@ def test_room_is_made_or_refused(tmp_path):
 HOLD = """
 import sys, time
 from pathlib import Path
-from derjax.locking import locked
+from derjax.io.locking import locked
 with locked(Path(sys.argv[1])):
     print("locked", flush=True)
     time.sleep(60)
