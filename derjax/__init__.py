@@ -75,5 +75,8 @@ from .terms import StokesletSegments as StokesletSegments
 from .terms import Stretch as Stretch
 from .terms import Term as Term
 from .terms import Twist as Twist
+from .terms.elastic import elasticity as elasticity
 
 __version__ = version("derjax")
+
+del jax, os, version

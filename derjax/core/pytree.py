@@ -24,8 +24,24 @@ def static(**kwargs: Any) -> Any:
 
 @dataclass_transform(frozen_default=True, field_specifiers=(static, dataclasses.field))
 def pytree(cls: type[T]) -> type[T]:
-    """Make `cls` a frozen dataclass and register it as a pytree."""
-    return jax.tree_util.register_dataclass(dataclasses.dataclass(frozen=True)(cls))
+    """Make `cls` a frozen dataclass and register it as a pytree.
+
+    Floats that are given for leaves become arrays, which their users may count on.
+    """
+    check = getattr(cls, "__post_init__", None)
+
+    def __post_init__(self: Any) -> None:
+        for name in leaves:
+            if type(value := getattr(self, name)) is float:
+                object.__setattr__(self, name, jnp.asarray(value))
+        if check is not None:
+            check(self)
+
+    cls.__post_init__ = __post_init__  # pyright: ignore[reportAttributeAccessIssue]
+    made = dataclasses.dataclass(frozen=True)(cls)
+    fields = dataclasses.fields(made)  # pyright: ignore[reportArgumentType]
+    leaves = tuple(f.name for f in fields if not f.metadata.get("static", False))
+    return jax.tree_util.register_dataclass(made)
 
 
 def replace(tree: T, **changes: Any) -> T:

@@ -7,6 +7,7 @@ filaments may meet at one body: a chain is the special case in which every sign 
 
 from collections.abc import Sequence
 from functools import cached_property
+from typing import Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -158,6 +159,8 @@ class Rod:
         hinge_length: (b,) m, the length of rod that bends and twists at a hinge.
         natural_curvature: (b, 2) integrated curvature of the stress-free shape, dimensionless.
         natural_twist: (b,) integrated twist of the stress-free shape, rad.
+        nodes: (n, 3) m, where the rod starts; None for rods made with a state of their own.
+        radius: m, of the circular cross-section; None where only the terms know it.
     """
 
     topology: Topology
@@ -165,6 +168,51 @@ class Rod:
     hinge_length: Float[Array, " b"]
     natural_curvature: Float[Array, "b 2"]
     natural_twist: Float[Array, " b"]
+    nodes: Float[Array, "n 3"] | None = None
+    radius: Float[Array, ""] | None = None
+
+    @classmethod
+    def straight(
+        cls,
+        n_nodes: int,
+        length: float | Array,
+        radius: float | Array,
+        fixed: Literal["start", "end", "both"] | None = None,
+    ) -> "Rod":
+        """A straight rod along x from the origin, without a robot: for statics and tests.
+
+        Args:
+            n_nodes: number of nodes.
+            length: m.
+            radius: m, of the circular cross-section.
+            fixed: which ends are held: the position and direction of the last edge, and its angle.
+
+        Raises:
+            ValueError: less than three nodes, or another word for `fixed`.
+        """
+        if n_nodes < 3:
+            raise ValueError(f"n_nodes = {n_nodes}: a rod needs three nodes to bend")
+        ends = {None: (), "start": (0,), "end": (n_nodes - 2,), "both": (0, n_nodes - 2)}
+        if fixed not in ends:
+            raise ValueError(f"fixed = {fixed!r}: should be 'start', 'end', 'both' or None")
+        free = chain(n_nodes, filaments=(tuple(range(n_nodes)),))
+        held = [d for e in ends[fixed] for d in (*free.node_dofs([e, e + 1]).ravel(),)]
+        held += [d for e in ends[fixed] for d in free.edge_dofs([e])]
+        topology = replace(free, clamped=tuple(sorted({int(d) for d in held})))
+        x = jnp.asarray(length, float) * np.linspace(0.0, 1.0, n_nodes)
+        nodes = jnp.stack([x, jnp.zeros(n_nodes), jnp.zeros(n_nodes)], axis=1)
+        rod, _ = at_rest(topology, nodes)
+        return replace(rod, nodes=nodes, radius=jnp.asarray(radius, float))
+
+    def at_rest(self) -> "State":
+        """The state at rest where the rod starts.
+
+        Raises:
+            ValueError: the rod does not know where it starts.
+        """
+        if self.nodes is None:
+            raise ValueError("this rod was made with a state of its own, and has no nodes")
+        return at_rest(self.topology, self.nodes)[1]
 
 
 @pytree

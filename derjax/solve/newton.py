@@ -37,15 +37,15 @@ class NewtonSettings:
 
     Attributes:
         tolerance: the largest scaled residual of a solution, unless round-off is larger.
-        force_scale: (d,) N and N m, what the residual is measured in.
+        force_scale: (d,) N and N m, what the residual is measured in; or one number for all.
         size: (d,) m and rad, of numbers that are rounded, if larger than the unknowns themselves:
             angles are made of others, of about half a turn, that may add up to nothing.
         max_iterations: Newton steps.
         max_halvings: of a Newton step, in the line search.
     """
 
-    tolerance: Float[Array, ""]
-    force_scale: Dofs
+    tolerance: Float[Array, ""] = 1e-9  # pyright: ignore[reportAssignmentType]
+    force_scale: Dofs = 1.0  # pyright: ignore[reportAssignmentType]
     size: Dofs | float = 0.0
     max_iterations: int = static(default=40)
     max_halvings: int = static(default=20)
@@ -109,6 +109,11 @@ class _Search:
     status: Array
 
 
+def _spread(settings: NewtonSettings, q: Dofs) -> NewtonSettings:
+    """With a scale of every degree of freedom."""
+    return replace(settings, force_scale=jnp.broadcast_to(settings.force_scale, q.shape))
+
+
 def _insert(q: Dofs, values: Array | float, free: tuple[int, ...]) -> Dofs:
     """`q` with `values` at the free degrees of freedom."""
     return q.at[np.array(free)].set(values, unique_indices=True)
@@ -153,6 +158,7 @@ def equilibrium(
         The solution and how it was reached. On failure the status says so and the best
         iterate is returned; nothing is raised in compiled code.
     """
+    settings = _spread(settings, guess)
     symmetric = potential.symmetric
     chosen = slice(None) if free is None else np.array(free)
     shortest = 0.5**settings.max_halvings
@@ -272,6 +278,7 @@ def equilibrium(
 @partial(equilibrium.defjvp, symbolic_zeros=True)
 def _equilibrium_jvp(free, primals, tangents):
     potential, guess, settings = primals
+    settings = _spread(settings, guess)
     d_potential, d_guess, _ = tangents
     q, info = equilibrium(potential, guess, settings, free)
     # What a rollout keeps for reverse mode, so that Newton's iterations need not be replayed.

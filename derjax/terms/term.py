@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, TypeVar
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -88,7 +89,8 @@ class Prediction:
     def cache(self, term: "Term", rod: Rod, state: State) -> Any:
         """What a term prepares for a step that starts at `state`: found once, for all who ask."""
         if id(term) not in self._caches:
-            self._caches[id(term)] = term.prepare(rod, state, self)
+            with jax.named_scope(f"prepare {type(term).__name__}"):
+                self._caches[id(term)] = term.prepare(rod, state, self)
         return self._caches[id(term)]
 
 
@@ -171,4 +173,9 @@ def contributions(
         prediction: of the step; None for a rod that stays where it is.
     """
     known = standing(state, terms) if prediction is None else prediction
-    return [t.contribution(rod, state, stage, known.cache(t, rod, state)) for t in terms]
+    found = []
+    for term in terms:
+        cache = known.cache(term, rod, state)
+        with jax.named_scope(type(term).__name__):
+            found.append(term.contribution(rod, state, stage, cache))
+    return found
