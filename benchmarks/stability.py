@@ -53,8 +53,10 @@ from derjax.integrate.frames import SEGMENTS, TRIES, _attempt, _going, _Run, new
 from derjax.io.files import atomic_path
 from derjax.runs.progress import Progress, interruptible
 from derjax.scenes.build import build_unchecked
-from derjax.scenes.file import TOLERANCES, MotorTable, Time, check
+from derjax.scenes.messages import check
+from derjax.scenes.motortable import RateTable
 from derjax.scenes.shape import touching_pairs
+from derjax.scenes.tables import TOLERANCES, TimeTable
 
 END, SHORT = 1.0, 0.2
 """Length of a run, s."""
@@ -334,7 +336,7 @@ def _tries(scene: Scene, now: _Run, most: int) -> _Run:
     return lax.while_loop(wanted, another, (jnp.zeros((), jnp.int32), now))[1]
 
 
-def run(scene: Scene, state: State, times: Time, limit: float) -> Run:
+def run(scene: Scene, state: State, times: TimeTable, limit: float) -> Run:
     """Frames up to the end, to the first step that fails, or until the time is up."""
     adapts, per_frame = scene.control is not None, times.steps_per_frame
     whole = np.float64(per_frame * times.step) if adapts else np.int32(per_frame)
@@ -382,7 +384,7 @@ def scene_of(value: Value, times: dict[str, Any]) -> tuple[SceneFile, Scene, Sta
         ends = range(TABLE_POINTS - len(value.motor))
         padded = [*value.motor, *((value.end + 1.0 + k, value.motor[-1][1]) for k in ends)]
         instants, rates = zip(*padded, strict=True)
-        plain = plain.model_copy(update={"motor_table": MotorTable(time=instants, rpm=rates)})
+        plain = plain.model_copy(update={"motor_table": RateTable(time=instants, rpm=rates)})
     scene = build_unchecked(plain, value.numbers | value.unchecked)
     state = scene.start
     return checked, scene, state

@@ -52,8 +52,8 @@ from derjax.results.dataset import to_dataset
 from derjax.results.summary import summarise
 from derjax.rods.rod import positions
 from derjax.scenes.build import enlarge
-from derjax.scenes.file import TOLERANCES as DEFAULTS
 from derjax.scenes.file import SceneFile
+from derjax.scenes.tables import TOLERANCES as DEFAULTS
 
 from .tables import markdown
 

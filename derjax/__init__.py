@@ -51,7 +51,7 @@ from .rods.rod import positions as positions
 from .runs.batch import build_many as build_many
 from .scenes.build import build as build
 from .scenes.file import SceneFile as SceneFile
-from .scenes.file import load_scene as load_scene
+from .scenes.load import load_scene as load_scene
 from .solve.newton import NewtonSettings as NewtonSettings
 from .solve.potential import Contribution as Contribution
 from .solve.potential import Diagonal as Diagonal

@@ -10,9 +10,10 @@ from typing import Any
 
 from .core.errors import InputError
 from .scenes.extensions import extension_names
-from .scenes.file import Robot, SceneFile
+from .scenes.file import SceneFile
 from .scenes.messages import checked
 from .scenes.parameters import PLACES, place_of
+from .scenes.tables import RobotTable
 
 
 def single_flagellum(**numbers: Any) -> SceneFile:
@@ -59,9 +60,9 @@ def _file(kind: str, numbers: dict[str, Any]) -> SceneFile:
         elif name in PLACES:
             table, key = place_of(name)
             content.setdefault(table, {})[key] = value
-        elif name in Robot.model_fields:
+        elif name in RobotTable.model_fields:
             content["robot"][name] = value
         else:
-            known = ", ".join([*PLACES, *(k for k in Robot.model_fields if k not in PLACES)])
+            known = ", ".join([*PLACES, *(k for k in RobotTable.model_fields if k not in PLACES)])
             raise InputError(f"{name}: there is no such parameter; there are {known}")
     return checked(SceneFile, content)

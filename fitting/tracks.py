@@ -9,7 +9,8 @@ from jaxtyping import Float
 from derjax import SceneFile, build, load_scene, positions
 from derjax.core.errors import InputError
 from derjax.io.fields import TIME_UNITS
-from derjax.scenes.file import check, read_toml
+from derjax.scenes.load import read_toml
+from derjax.scenes.messages import check
 from derjax.scenes.motortable import covers
 from derjax.scenes.timing import time_grid
 

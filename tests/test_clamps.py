@@ -10,8 +10,9 @@ from helpers import order, settled
 
 import derjax
 from derjax import State, build, load_scene, positions
+from derjax.core.errors import InputError
 from derjax.rods.rod import Rod
-from derjax.scenes.file import InputError, SceneFile
+from derjax.scenes.file import SceneFile
 from derjax.terms import Bend, Gravity, Stretch, Twist
 
 LENGTH, RADIUS, MODULUS, DENSITY = 0.5, 5e-3, 50e9, 2700.0

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from derjax import build
+from derjax.core.errors import InputError
 from derjax.integrate.step import Scene
 from derjax.scenes.defaults import REGULARIZATION, SLIP
-from derjax.scenes.file import InputError, SceneFile, load_scene
+from derjax.scenes.file import SceneFile
+from derjax.scenes.load import load_scene
 from derjax.terms import Contact, Friction, StokesletSegments
 
 COARSE = {"edge_length": 0.03}

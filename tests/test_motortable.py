@@ -11,7 +11,7 @@ import pytest
 from derjax.core.errors import InputError, InputWarning
 from derjax.integrate.motor import Motor as Rates
 from derjax.runs.sweeps.file import load_sweep
-from derjax.scenes.file import load_scene
+from derjax.scenes.load import load_scene
 
 LOG = "time, targetSpeed, leftSpeed, left, right\n" + "".join(
     f"{731250 + 100 * k}, 60, {20 * k}, {-30 * k * k}, {7 * k}\n" for k in range(11)

@@ -15,7 +15,7 @@ from derjax.results.dataset import to_dataset, write
 from derjax.results.summary import summarise
 from derjax.runs.batch import build_many, pick
 from derjax.scenes.build import build_unchecked
-from derjax.scenes.file import MotorTable
+from derjax.scenes.motortable import RateTable
 from derjax.scenes.parameters import PLACES
 from derjax.scenes.shape import touching_pairs
 from derjax.terms import Contact, HeadDrag
@@ -221,7 +221,7 @@ def test_edges_that_may_touch_are_those_of_the_override():
 
 
 def test_rates_of_a_motor_table_are_overridden_together(tmp_path):
-    table = MotorTable(time=(0.0, 30.0), rpm=((60.0, 50.0), (60.0, 60.0)))
+    table = RateTable(time=(0.0, 30.0), rpm=((60.0, 50.0), (60.0, 60.0)))
     robot = {"kind": "two_flagella", "edge_length": 0.03}
     file = SceneFile.model_validate({"robot": robot}).model_copy(update={"motor_table": table})
     rates = [[30.0, 10.0], [20.0, 10.0]]

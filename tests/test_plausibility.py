@@ -5,7 +5,9 @@ from typing import Any
 
 import pytest
 
-from derjax.scenes.file import InputError, SceneFile, check
+from derjax.core.errors import InputError
+from derjax.scenes.file import SceneFile
+from derjax.scenes.messages import check
 from derjax.scenes.plausibility import USUAL_LENGTHS
 
 IN_MM = {key: 1e3 * value for key, value in USUAL_LENGTHS.items()}

@@ -11,8 +11,12 @@ from pydantic import Field
 
 from derjax import build
 from derjax.commands.new import template
+from derjax.core.errors import InputError
 from derjax.io.fields import Finite, Table
-from derjax.scenes.file import UNITS, InputError, SceneFile, check, load_scene
+from derjax.scenes.file import SceneFile
+from derjax.scenes.load import load_scene
+from derjax.scenes.messages import check
+from derjax.scenes.parameters import UNITS
 
 TABLES = [name for name, field in SceneFile.model_fields.items() if not field.exclude]
 

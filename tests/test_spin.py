@@ -11,10 +11,11 @@ from helpers import advance, finite_difference_jvp, share
 
 import derjax
 from derjax import SceneFile, State, angles, build, positions, roll_frames
+from derjax.core.errors import InputError
 from derjax.core.pytree import replace
 from derjax.integrate.step import Scene
 from derjax.rods.rod import transport_frames
-from derjax.scenes.file import InputError, load_scene
+from derjax.scenes.load import load_scene
 from derjax.terms import SpinDrag
 
 rollout = jax.jit(derjax.roll_frames, static_argnums=(2, 3))

@@ -14,12 +14,10 @@ from derjax import RolloutStats, Scene, SceneFile, State, Status, build
 from derjax.core.pytree import replace
 from derjax.integrate.frames import march_frames
 from derjax.scenes.build import build_unchecked
-from derjax.scenes.file import MotorTable
+from derjax.scenes.motortable import RateTable
 
 TINY = SceneFile.model_validate({"robot": {"edge_length": 0.03}})
-DRIVEN = TINY.model_copy(
-    update={"motor_table": MotorTable(time=(0, 0.25, 0.2501, 1), rpm=(0,) * 4)}
-)
+DRIVEN = TINY.model_copy(update={"motor_table": RateTable(time=(0, 0.25, 0.2501, 1), rpm=(0,) * 4)})
 
 
 @jax.jit

@@ -16,6 +16,7 @@ import xarray as xr
 
 from derjax import march_frames
 from derjax.commands.main import main
+from derjax.core.errors import InputError
 from derjax.runs import batch
 from derjax.runs.sweeps import dask as farm
 from derjax.runs.sweeps import points
@@ -23,7 +24,8 @@ from derjax.runs.sweeps import sweep as sweeps
 from derjax.runs.sweeps.figure import figure
 from derjax.runs.sweeps.file import PLACES, _fields, load_sweep
 from derjax.runs.sweeps.points import Chunk, compute
-from derjax.scenes.file import UNITS, InputError, SceneFile
+from derjax.scenes.file import SceneFile
+from derjax.scenes.parameters import UNITS
 
 SCENE = """
 [robot]

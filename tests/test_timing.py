@@ -2,8 +2,10 @@
 
 import pytest
 
+from derjax.core.errors import InputError
 from derjax.runs.sweeps.points import programs
-from derjax.scenes.file import InputError, SceneFile, load_scene
+from derjax.scenes.file import SceneFile
+from derjax.scenes.load import load_scene
 from derjax.scenes.timing import time_grid, usual_frame
 
 

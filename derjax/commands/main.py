@@ -18,11 +18,10 @@ from collections.abc import Callable, Sequence
 from importlib.metadata import EntryPoint, entry_points, version
 from typing import Any
 
-from ..core.errors import InputWarning, WriteWarning
+from ..core.errors import InputError, InputWarning, WriteWarning
 from ..core.runtime import enable_compilation_cache, use_one_blas_thread
 from ..core.status import SolverError
 from ..runs.progress import terminated_like_interrupted
-from ..scenes.file import InputError
 
 GROUP = "derjax.commands"
 FAILED = 2

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from ..scenes.file import InputError
+from ..core.errors import InputError
 from .options import add_output, add_quiet
 
 HELP = "simulate a scene at many values of its keys; writes a table and a figure"

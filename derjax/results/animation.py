@@ -25,8 +25,8 @@ from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from PIL import Image
 
+from ..core.errors import InputError
 from ..io.files import atomic_path
-from ..scenes.file import InputError
 
 MM = 1e3
 PALETTE = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#B8A800")

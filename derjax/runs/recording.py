@@ -12,12 +12,13 @@ from typing import Any
 import jax
 import numpy as np
 
+from ..core.errors import InputError
 from ..core.status import Status
 from ..integrate.frames import RolloutStats, march_frames, new_stats
 from ..integrate.step import Scene
 from ..io.files import atomic_path
 from ..rods.rod import State
-from ..scenes.file import InputError, SceneFile
+from ..scenes.file import SceneFile
 
 Advance = Callable[[State, RolloutStats], tuple[State, RolloutStats]]
 

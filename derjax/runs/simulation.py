@@ -21,7 +21,8 @@ from ..io.textfile import read_text
 from ..results import dataset as trajectory
 from ..results import summary as summaries
 from ..scenes.build import build, enlarge
-from ..scenes.file import SceneFile, load_scene
+from ..scenes.file import SceneFile
+from ..scenes.load import load_scene
 from .progress import Progress, interruptible
 from .recording import (
     Advance,

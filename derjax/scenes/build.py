@@ -10,6 +10,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from ..core.errors import InputError
 from ..core.pytree import Indices, replace
 from ..core.status import SolverError
 from ..integrate.motor import Motor
@@ -38,10 +39,10 @@ from ..terms.gravity import Gravity
 from ..terms.inertia import Inertia
 from ..terms.term import Term
 from .defaults import SLIP
-from .file import Friction as FrictionTable
-from .file import InputError, SceneFile
+from .file import SceneFile
 from .parameters import index_of, place_of
 from .shape import body_of, touching_pairs
+from .tables import FrictionTable
 
 Parameters = Mapping[str, Any]
 

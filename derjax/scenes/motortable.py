@@ -52,7 +52,7 @@ class MotorColumns(Table):
         return (given,) if isinstance(given, str) else given
 
 
-class Motor(Table):
+class MotorTable(Table):
     """[motor] A constant rate, or the path of a table.
 
     The rate is one for all motors, or a list with one for each. A table has by default the
@@ -95,7 +95,7 @@ class Motor(Table):
         return self.rpm if isinstance(self.rpm, tuple) else (self.rpm,)
 
 
-class MotorTable(Table):
+class RateTable(Table):
     """A motor's rate over time: s and revolutions per minute, linear in between.
 
     A time that stands there twice is a jump.
@@ -114,7 +114,7 @@ class MotorTable(Table):
         return self
 
 
-def read_motor_table(path: Path, motor: Motor, end: float, n_motors: int = 1) -> MotorTable:
+def read_motor_table(path: Path, motor: MotorTable, end: float, n_motors: int = 1) -> RateTable:
     """The rates in the table of a motor, which must cover the run from 0 to `end` (s).
 
     A log whose first or last sample is less than its longest sampling interval (and less than
@@ -151,10 +151,10 @@ def read_motor_table(path: Path, motor: Motor, end: float, n_motors: int = 1) ->
         worst = abs(rpm[bad[0]]).max()
         raise InputError(f"{path}: line {lines[bad[0]]}: rpm = {worst:g}: beyond any motor")
     rates = rpm[:, 0].tolist() if len(names) == 1 else [tuple(row) for row in rpm.tolist()]
-    return MotorTable(time=tuple(time.tolist()), rpm=tuple(rates))
+    return RateTable(time=tuple(time.tolist()), rpm=tuple(rates))
 
 
-def _columns(table: TextTable, motor: Motor, n_motors: int) -> tuple[str, ...]:
+def _columns(table: TextTable, motor: MotorTable, n_motors: int) -> tuple[str, ...]:
     """The names of the columns that say how motors turn: one for all, or one for each."""
     names = motor.columns.driven
     if not names:
@@ -202,7 +202,7 @@ def covers(time: Times, end: float) -> bool:
     return bool(time[0] <= held and time[-1] >= end - held)
 
 
-def _uncovered(motor: Motor, found: Numbers, time: Times, end: float) -> str:
+def _uncovered(motor: MotorTable, found: Numbers, time: Times, end: float) -> str:
     """What is wrong with a table that does not cover the run, and which keys would help."""
     said = (
         f"the motor table covers {time[0]:.10g} to {time[-1]:.10g} s, "

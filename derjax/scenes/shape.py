@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..core.errors import InputError
 from ..core.pytree import Indices
 from ..shapes import (
     RobotGeometry,
@@ -25,7 +26,7 @@ from ..shapes import (
 )
 from ..terms.contact.neighbours import PENETRATION, pairs_apart
 from ..terms.contact.segments import distance
-from .file import InputError, SceneFile
+from .file import SceneFile
 from .parameters import EACH
 
 SHAPE = ("helix_radius", "pitch", "axial_length", "rod_radius", "separation", "bend")

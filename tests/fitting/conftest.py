@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from derjax import SceneFile, Status
-from derjax.scenes.file import check
+from derjax.scenes.messages import check
 from fitting.observe import interpolation
 from fitting.simulate import Simulator, motor_rate, steps_per_call
 from fitting.tracks import Dataset, Run

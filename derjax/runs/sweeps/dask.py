@@ -6,8 +6,8 @@ from importlib.metadata import version
 from queue import Empty, SimpleQueue
 from typing import Any
 
+from ...core.errors import InputError
 from ...core.runtime import enable_compilation_cache, use_one_blas_thread
-from ...scenes.file import InputError
 from .points import ERROR, Chunk, Outcome, compute_surely, failed
 
 RETRIES = 2

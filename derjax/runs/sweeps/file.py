@@ -23,20 +23,13 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, Field, create_model
 
-from ...core.errors import InputWarning
+from ...core.errors import InputError, InputWarning
+from ...io.fields import Count, Finite, Switch, Table
 from ...scenes.effects import idle_keys
 from ...scenes.extensions import extension_names
-from ...scenes.file import (
-    Count,
-    Finite,
-    InputError,
-    SceneFile,
-    Switch,
-    Table,
-    check,
-    read_toml,
-    with_motor_table,
-)
+from ...scenes.file import SceneFile
+from ...scenes.load import read_toml, with_motor_table
+from ...scenes.messages import check
 from ...scenes.parameters import EACH, PLACES, index_of, place_of
 
 MOST_POINTS = 1_000_000

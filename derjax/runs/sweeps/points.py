@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
+from ...core.errors import InputError
 from ...core.pytree import Indices, replace
 from ...core.status import Status
 from ...integrate.frames import RolloutStats, new_stats
@@ -19,9 +20,11 @@ from ...results import dataset as trajectory
 from ...results import summary as summaries
 from ...rods.rod import State
 from ...scenes.build import build, enlarge
-from ...scenes.file import Contact, Fluid, Head, InputError, Material, Motor, SceneFile, Time
+from ...scenes.file import SceneFile
+from ...scenes.motortable import MotorTable
 from ...scenes.parameters import place_of
 from ...scenes.shape import touching_pairs
+from ...scenes.tables import ContactTable, FluidTable, HeadTable, MaterialTable, TimeTable
 from ..batch import advance, build_many, everyone, pick, repeat, spread
 
 T = TypeVar("T")
@@ -124,12 +127,12 @@ def _form(file: SceneFile) -> Hashable:
 def _size(file: SceneFile) -> tuple[int, Indices | None]:
     """Degrees of freedom of a robot, and the pairs of its edges that can touch."""
     plain = {
-        "material": Material(),
-        "fluid": Fluid(hydrodynamics="none"),
-        "head": Head(),
-        "motor": Motor(),
-        "time": Time.model_validate({}),
-        "contact": Contact(method="none"),
+        "material": MaterialTable(),
+        "fluid": FluidTable(hydrodynamics="none"),
+        "head": HeadTable(),
+        "motor": MotorTable(),
+        "time": TimeTable.model_validate({}),
+        "contact": ContactTable(method="none"),
         "friction": None,
         "gravity": None,
         "motor_table": None,
