@@ -1,6 +1,6 @@
 """The step of a large robot: its position and the fluid's forces are unknowns together.
 
-With the drag force f on the wet degrees of freedom as an unknown of its own, the equations of an
+With the drag force f on the wet degrees of freedom as an unknown of its own, the equations of a
 stage,
 
     grad E(q) + f = 0,        u = q - q~ = l A f   (wet),
