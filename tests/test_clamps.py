@@ -135,10 +135,10 @@ def test_a_held_tip_is_one_more_edge_in_line(shape):
         build(SceneFile.model_validate({"robot": robot | {"clamped_tip": tip}}))
         for tip in (False, True)
     )
-    one, two = (scene.rod.topology for scene, _ in (free, held))
+    one, two = (scene.rod.topology for scene in (free, held))
     assert two.n_nodes == one.n_nodes + 2
     for path in two.filaments:
-        x = np.asarray(positions(two, held[1].q))[list(path)]
+        x = np.asarray(positions(two, held.start.q))[list(path)]
         np.testing.assert_allclose(x[-1] - x[-2], x[-2] - x[-3], atol=1e-15)
         ends = [3 * node + axis for node in (*path[:2], *path[-2:]) for axis in range(3)]
         assert set(ends) <= set(two.clamped)

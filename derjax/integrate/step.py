@@ -99,6 +99,8 @@ class Scene:
             raise ValueError("this scene has no initial state; give it one with initial=state")
         return self.initial
 
+    __iter__ = None  # else Python would look for terms by number
+
     def __getitem__(self, kind: type[T]) -> T:
         """The one term of some kind, as `scene[derjax.Contact]`.
 
