@@ -1,7 +1,7 @@
-"""SimulatedTrack tracks with their derivatives, of any length from one compiled program.
+"""Simulated tracks with their derivatives, of any length from one compiled program.
 
 For a few parameters the derivatives are carried forward in time with the states: the tangents
-are nothing but more right-hand sides for the matrix that the step has linearise anyway, and
+are nothing but more right-hand sides for the matrix that the step has factored anyway, and
 nothing has to be stored. The rollout is compiled for a number of steps and called as often
 as a run needs it, so runs of all lengths and motor rates share the program, and the host
 can look in between: for progress, for an interruption, for a failed step.

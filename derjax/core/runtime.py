@@ -6,8 +6,6 @@ from importlib.metadata import version
 from pathlib import Path
 
 import jax
-import scipy.linalg  # noqa: F401  (the library that JAX takes its linear algebra from)
-from threadpoolctl import threadpool_limits
 
 SHORTEST_COMPILATION = 0.2
 """Programs that compile faster than this (s) are not worth keeping."""
@@ -44,6 +42,10 @@ def use_one_blas_thread() -> None:
     processors have other work too, a step takes ten times as long. Only libraries that have
     been loaded are reached, so that SciPy's is loaded here.
     """
+    # Not needed by `import derjax`, and slow to import.
+    import scipy.linalg  # noqa: F401  (the library that JAX takes its linear algebra from)
+    from threadpoolctl import threadpool_limits
+
     threadpool_limits(1, user_api="blas")
 
 

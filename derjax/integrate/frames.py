@@ -31,7 +31,7 @@ class RolloutStats:
         failed_at: s, start of the first failed step.
         steps: steps completed.
         iterations: Newton iterations of them all, tries included that were rejected.
-        factorings: Newton matrices that were linearise for them.
+        factorings: Newton matrices that were factored for them.
         residual: largest scaled residual of a completed step; of the failed one, if any.
         rejected: steps that were given up for shorter ones, if steps adapt.
         next_length: s, of the step that is tried next, if steps adapt; 0 at the start.
@@ -62,7 +62,7 @@ class RolloutStats:
 
 
 def new_stats() -> RolloutStats:
-    """The report of a run that has not begun."""
+    """The statistics of a run that has not begun."""
     count = jnp.zeros((), jnp.int32)
     nothing = jnp.zeros(())
     return RolloutStats(count, jnp.array(jnp.nan), count, count, count, nothing, count, nothing)

@@ -9,9 +9,8 @@ from jaxtyping import Array, Float
 from ..integrate.step import Scene, fluid_velocity, turned
 from ..rods.rod import State, positions, tangents
 from ..rods.vectors import cross
-from ..solve.gmres import gmres
 from ..solve.potential import Contribution, Dofs, Mobility, Potential, gather
-from ..solve.saddle import EXACT, PRODUCTS
+from ..solve.saddle import drag_forces
 from ..terms.term import Role, Stage, Term, contributions, standing
 
 
@@ -127,7 +126,6 @@ def _force(part: Contribution | Mobility, state: State) -> Dofs:
     """N and N m, at the state's positions."""
     if isinstance(part, Contribution):
         return -part.gradient(state.q)
-    wet, law = part.dofs.array, part.law
+    wet = part.dofs.array
     velocity = (state.q - part.origin)[wet] / part.time
-    alone = gmres(lambda u: law.apply(law.precondition(u)), velocity, EXACT, PRODUCTS)
-    return jnp.zeros_like(state.q).at[wet].add(-law.precondition(alone))
+    return jnp.zeros_like(state.q).at[wet].add(-drag_forces(part.law, velocity))

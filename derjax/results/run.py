@@ -1,6 +1,5 @@
 """A run of a scene from Python, and what came out of it."""
 
-import math
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,9 +14,10 @@ from ..core.pytree import pytree
 from ..core.status import Status
 from ..integrate.frames import RolloutStats, march_frames, roll_frames
 from ..integrate.step import Scene
+from ..io.files import atomic_path
 from ..rods.rod import State, positions
 from ..scenes.build import enlarge
-from ..scenes.timing import ROUNDING
+from ..scenes.timing import whole_number
 from . import head as kinematics
 
 if TYPE_CHECKING:
@@ -124,7 +124,9 @@ class Run:
         }
         if path.suffix not in writers:
             raise ValueError(f"{path}: films end in {', '.join(writers)}")
-        writers[path.suffix](animation.film(self.to_dataset(), **options), path)
+        film = animation.film(self.to_dataset(), **options)
+        with atomic_path(path) as temporary:
+            writers[path.suffix](film, temporary)
         return path
 
     def __repr__(self) -> str:
@@ -192,16 +194,9 @@ def _division(scene: Scene, end: float | None, frame: float | None) -> tuple[int
         )
     if end is None and file is None:
         raise ValueError("end: must be given (s) for scenes that have no scene file")
-    last = file.time.end if end is None and file is not None else float(end or 0.0)
-    each = frame or (step if file is None else step * file.steps_per_frame)
-    steps = _whole(each / step, f"frame = {each:g} s: no whole number of steps of {step:g} s")
+    last = file.time.end if end is None and file is not None else end or 0.0
+    usual = step if file is None else step * file.steps_per_frame
+    each = usual if frame is None else frame
+    steps = whole_number(each / step, f"frame = {each:g} s: no whole number of steps of {step:g} s")
     said = f"end = {last:g} s: no whole number of frames of {each:g} s; give another end or frame"
-    return steps, _whole(last / each, said)
-
-
-def _whole(ratio: float, otherwise: str) -> int:
-    """`ratio` as the whole number that it is but for rounding."""
-    whole = round(ratio)
-    if whole < 1 or not math.isclose(ratio, whole, rel_tol=ROUNDING, abs_tol=1e-6):
-        raise ValueError(otherwise)
-    return whole
+    return steps, whole_number(last / each, said)

@@ -50,7 +50,7 @@ class Topology:
         filaments: node paths on which the fluid acts, each a tuple of consecutive nodes.
         head: the nodes and edges of the head; None without a head.
         motors: the hinges whose natural twist is driven.
-        driven_edges: the clamped edges whose angle is driven; a rod has motors or driven_edges.
+        driven_edges: the clamped edges whose angle is driven; a rod has one or the other.
         clamped: degrees of freedom held fixed.
     """
 

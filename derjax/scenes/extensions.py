@@ -87,14 +87,14 @@ def forget() -> None:
 
 
 def unit_of(parameter: str) -> str:
-    """The unit of a parameter of a scene; "1" if it has none that is known."""
+    """The unit of a parameter of a scene, or of a key by table and name; "1" if none is known."""
     name, _ = index_of(parameter)
     if name in UNITS:
         return UNITS[name]
     table, _, key = name.partition(".")
-    if table not in extension_names():
-        return "1"
-    return extension(table).NUMBERS.get(key, "1")
+    if table in extension_names():
+        return extension(table).NUMBERS.get(key, "1")
+    return UNITS.get(key, "1")
 
 
 def template() -> str:

@@ -70,12 +70,12 @@ def time_grid(end: float, step: float | None, frame: float | None, fastest_rpm: 
         return TimeGrid(frame / steps_per_frame, steps_per_frame, _frames(end, frame))
     if step > end:
         raise ValueError(f"step = {step:g}: must not be longer than end = {end:g} s")
-    n_steps = _whole(end / step, f"end = {end:g}: must be a whole number of {step:g} s steps")
+    n_steps = whole_number(end / step, f"end = {end:g}: must be a whole number of {step:g} s steps")
     if frame is None:
         most = min(round(usual / step), n_steps // LEAST_FRAMES)
         steps_per_frame = _largest_divisor(n_steps, max(1, most))
         return TimeGrid(step, steps_per_frame, n_steps // steps_per_frame)
-    steps_per_frame = _whole(
+    steps_per_frame = whole_number(
         frame / step, f"frame = {frame:g}: must be a whole number of {step:g} s steps"
     )
     return TimeGrid(step, steps_per_frame, _frames(end, frame))
@@ -83,7 +83,7 @@ def time_grid(end: float, step: float | None, frame: float | None, fastest_rpm: 
 
 def _frames(end: float, frame: float) -> int:
     """The number of frames of a given length."""
-    return _whole(
+    return whole_number(
         end / frame, f"frame = {frame:g}: end = {end:g} s must be a whole number of frames"
     )
 
@@ -99,7 +99,7 @@ def _parts(whole: float, longest: float) -> int:
     return max(1, math.ceil(whole / longest * (1 - ROUNDING)))
 
 
-def _whole(ratio: float, otherwise: str) -> int:
+def whole_number(ratio: float, otherwise: str) -> int:
     """`ratio` as the whole number that it is but for round-off."""
     whole = round(ratio)
     if whole < 1 or not math.isclose(ratio, whole, rel_tol=ROUNDING, abs_tol=1e-6):

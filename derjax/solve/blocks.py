@@ -1,4 +1,4 @@
-"""Large robots in pieces: a matrix of blocks along every filament, linearise from tip to base.
+"""Large robots in pieces: a matrix of blocks along every filament, factored from tip to base.
 
 Every filament is cut into blocks of some nodes in a row. Rods only couple a block to the next
 and the first block of a filament to what is not in any filament, the border (heads, arms,

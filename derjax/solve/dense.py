@@ -14,7 +14,7 @@ Rhs = Float[Array, "d *k"]
 
 
 class Factor(Protocol):
-    """A linearise matrix."""
+    """A factored matrix."""
 
     def solve(self, b: Rhs) -> Rhs:
         """Solution x of A x = b."""

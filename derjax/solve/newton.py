@@ -58,7 +58,7 @@ class NewtonInfo:
     Attributes:
         status: how it ended, a `Status`.
         iterations: steps of Newton's method, with new matrices and old.
-        factorings: matrices that were linearise.
+        factorings: matrices that were factored.
         residual: the largest scaled residual left.
     """
 

@@ -95,10 +95,8 @@ class SaddlePointSystem:
 
     def start(self, q: Dofs) -> Unknowns:
         """q with about the forces that the second equation has for it."""
-        law = self.drag.law
         velocity = (q - self.drag.origin)[self.drag.dofs.array] / self.drag.time
-        alone = gmres(lambda u: law.coarse.apply(law.precondition(u)), velocity, ROUGH, PRODUCTS)
-        return self.join(q, law.precondition(alone))
+        return self.join(q, drag_forces(self.drag.law.coarse, velocity, ROUGH))
 
     @property
     def scales(self) -> Unknowns:
@@ -205,6 +203,14 @@ class _Still:
 
     def precondition(self, velocity: Array) -> Array:
         return velocity
+
+
+def drag_forces(
+    law: MobilityOperator, velocity: Float[Array, " m"], tolerance: float = EXACT
+) -> Float[Array, " m"]:
+    """The forces (N) with which a fluid resists velocities (m/s), by GMRES."""
+    alone = gmres(lambda u: law.apply(law.precondition(u)), velocity, tolerance, PRODUCTS)
+    return law.precondition(alone)
 
 
 def no_drag(layout: Layout) -> Mobility:

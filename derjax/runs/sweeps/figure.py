@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 
 from ...results.plots import MEAN, STYLE
 from ...scenes.extensions import unit_of
-from ...scenes.parameters import UNITS, index_of
 from .file import Sweep
 
 Row = Mapping[str, str]
@@ -131,7 +130,7 @@ def _said(plan: Sweep, values: Sequence[str]) -> str:
 
 def _label(name: str) -> str:
     key = name.split(".")[-1]
-    unit = unit_of(name) if index_of(key)[0] not in UNITS else unit_of(key)
+    unit = unit_of(name)
     return name if unit in ("1", key) else f"{name} ({unit})"
 
 

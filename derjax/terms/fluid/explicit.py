@@ -32,7 +32,7 @@ class ExplicitDrag(Term):
                 stage of a scheme other than Euler's.
         """
         if stage.origin is not None:
-            raise ValueError("explicit drag (ExplicitDrag) is only for the scheme euler")
+            raise ValueError("explicit drag is only for the scheme euler")
         drag = self.drag.contribution(rod, state, stage, cache)
         if isinstance(drag, Mobility):
             raise ValueError(
