@@ -1,7 +1,7 @@
 """Films of a trajectory: what is seen at which moment, and GIF and MP4 files of it.
 
 The picture is made of the edges alone, whatever the robot: a tube along every unbranched path
-of edges, and a ball for the head if there is one. `derjax.viewer` shows the same in a browser.
+of edges, and a ball for the head if there is one. `viewer` shows the same in a browser.
 """
 
 import dataclasses

@@ -14,7 +14,6 @@ from ..core.pytree import pytree
 from ..core.status import Status
 from ..integrate.frames import RolloutStats, march_frames, roll_frames
 from ..integrate.step import Scene
-from ..io.files import atomic_path
 from ..rods.rod import State, positions
 from ..scenes.build import enlarge
 from ..scenes.timing import whole_number
@@ -124,9 +123,7 @@ class Run:
         }
         if path.suffix not in writers:
             raise ValueError(f"{path}: films end in {', '.join(writers)}")
-        film = animation.film(self.to_dataset(), **options)
-        with atomic_path(path) as temporary:
-            writers[path.suffix](film, temporary)
+        writers[path.suffix](animation.film(self.to_dataset(), **options), path)
         return path
 
     def __repr__(self) -> str:
