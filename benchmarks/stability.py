@@ -53,10 +53,10 @@ from derjax.integrate.frames import SEGMENTS, TRIES, _attempt, _going, _Run, new
 from derjax.io.files import atomic_path
 from derjax.runs.progress import Progress, interruptible
 from derjax.scenes.build import build_unchecked
+from derjax.scenes.ingredients.time import TOLERANCES, TimeTable
 from derjax.scenes.messages import check
 from derjax.scenes.motortable import RateTable
 from derjax.scenes.shape import touching_pairs
-from derjax.scenes.tables import TOLERANCES, TimeTable
 
 END, SHORT = 1.0, 0.2
 """Length of a run, s."""

@@ -53,7 +53,7 @@ from derjax.results.summary import summarise
 from derjax.rods.rod import positions
 from derjax.scenes.build import enlarge
 from derjax.scenes.file import SceneFile
-from derjax.scenes.tables import TOLERANCES as DEFAULTS
+from derjax.scenes.ingredients.time import TOLERANCES as DEFAULTS
 
 from .tables import markdown
 

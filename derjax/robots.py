@@ -11,9 +11,9 @@ from typing import Any
 from .core.errors import InputError
 from .scenes.extensions import extension_names
 from .scenes.file import SceneFile
+from .scenes.ingredients import RobotTable
 from .scenes.messages import checked
 from .scenes.parameters import PLACES, place_of
-from .scenes.tables import RobotTable
 
 
 def single_flagellum(**numbers: Any) -> SceneFile:

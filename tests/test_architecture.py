@@ -75,7 +75,9 @@ def test_relative_imports_are_resolved():
     """The tests below would pass for want of names if the resolution were wrong."""
     bend = set(imports(DERJAX / "terms" / "elastic" / "bend.py"))
     assert {"derjax.solve.potential.Elements", "derjax.terms.term.Stage"} <= bend
-    assert {"rods", "solve", "terms"} <= folders(DERJAX / "scenes" / "build.py")
+    assert {"integrate", "io", "rods", "terms"} <= folders(
+        DERJAX / "scenes" / "ingredients" / "time.py"
+    )
 
 
 @pytest.mark.parametrize("path", MODULES, ids=name_of)
@@ -133,16 +135,17 @@ TERM_CLASSES = sorted(
 
 
 @pytest.mark.parametrize(("name", "path"), TERM_CLASSES, ids=[name for name, _ in TERM_CLASSES])
-def test_every_term_has_a_file_and_is_in_the_registry(name, path):
-    """`build.py` makes every term that a scene file may ask for."""
+def test_every_term_has_a_file_and_is_made_by_a_table(name, path):
+    """A table of scene files makes every term that they may ask for."""
     assert ast.get_docstring(tree_of(path)), "the module has no docstring"
     assert [n for n, other in TERM_CLASSES if other == path] == [name], "several in one file"
     if name == "Energy":  # for Python: a file cannot hold a function
         return
-    registry = tree_of(DERJAX / "scenes" / "build.py")
+    tables = (DERJAX / "scenes" / "ingredients").glob("*.py")
     calls = {
         node.func.id
-        for node in ast.walk(registry)
+        for table in tables
+        for node in ast.walk(tree_of(table))
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
     }
     assert name in calls

@@ -10,8 +10,9 @@ import pytest
 from derjax import build
 from derjax.core.errors import InputError
 from derjax.integrate.step import Scene
-from derjax.scenes.defaults import REGULARIZATION, SLIP
 from derjax.scenes.file import SceneFile
+from derjax.scenes.ingredients.fluid import REGULARIZATION
+from derjax.scenes.ingredients.friction import SLIP
 from derjax.scenes.load import load_scene
 from derjax.terms import Contact, Friction, StokesletSegments
 

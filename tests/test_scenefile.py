@@ -16,7 +16,7 @@ from derjax.io.fields import Finite, Table
 from derjax.scenes.file import SceneFile
 from derjax.scenes.load import load_scene
 from derjax.scenes.messages import check
-from derjax.scenes.parameters import UNITS
+from derjax.scenes.parameters import PLACES
 
 TABLES = [name for name, field in SceneFile.model_fields.items() if not field.exclude]
 
@@ -53,7 +53,7 @@ def test_every_parameter_has_a_unit():
         SceneFile.model_validate({"robot": {"kind": "two_flagella"}, "friction": {}}),
         SceneFile.model_validate({"robot": {"shape": "arc"}}),
     ]
-    assert set().union(*(scene.parameters for scene in everything)) == set(UNITS)
+    assert set().union(*(scene.parameters for scene in everything)) == set(PLACES)
 
 
 @pytest.mark.parametrize(

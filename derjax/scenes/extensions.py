@@ -17,16 +17,16 @@ from typing import Any, ClassVar
 from jaxtyping import Array
 
 from ..core.errors import InputError
-from ..io.fields import Table
 from ..rods.rod import Rod
 from ..terms.term import Term
-from .parameters import UNITS, index_of
+from .ingredients.ingredient import Ingredient
+from .parameters import PARAMETERS, index_of
 
 GROUP = "derjax.terms"
 """Of the entry points."""
 
 
-class Extension(Table):
+class Extension(Ingredient):
     """A table of scene files that another package owns, and what makes its term.
 
     A pydantic model: keys with annotations, checked as those of derjax are.
@@ -89,12 +89,12 @@ def forget() -> None:
 def unit_of(parameter: str) -> str:
     """The unit of a parameter of a scene, or of a key by table and name; "1" if none is known."""
     name, _ = index_of(parameter)
-    if name in UNITS:
-        return UNITS[name]
+    if name in PARAMETERS:
+        return PARAMETERS[name].unit
     table, _, key = name.partition(".")
     if table in extension_names():
         return extension(table).NUMBERS.get(key, "1")
-    return UNITS.get(key, "1")
+    return PARAMETERS[key].unit if key in PARAMETERS else "1"
 
 
 def template() -> str:

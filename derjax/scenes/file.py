@@ -19,27 +19,27 @@ from pydantic import (
 
 from ..core.errors import InputError
 from ..io.fields import Table
-from .defaults import REGULARIZATION, SLIP, completed
 from .extensions import Extension, extension, extension_names
-from .messages import checked
-from .motortable import MotorTable, RateTable
-from .parameters import EACH, index_of, place_of
-from .plausibility import check_density, check_modulus, check_regularization
-from .tables import (
-    FINEST,
-    FINEST_IN_BLOCKS,
+from .ingredients import (
+    INGREDIENTS,
     ContactTable,
     FluidTable,
     FrictionTable,
     GravityTable,
     HeadTable,
     MaterialTable,
+    MotorTable,
     RobotTable,
     SolverTable,
     TimeTable,
-    flagella_in_words,
-    of_each,
 )
+from .ingredients.fluid import FINEST, FINEST_IN_BLOCKS, REGULARIZATION
+from .ingredients.friction import SLIP
+from .ingredients.ingredient import Ingredient, flagella_in_words, of_each
+from .messages import checked
+from .motortable import RateTable
+from .parameters import EACH, completed, index_of, place_of
+from .plausibility import check_density, check_modulus, check_regularization
 from .timing import TimeGrid, time_grid
 
 
@@ -164,6 +164,12 @@ class SceneFile(Table):
                 "[friction] slip_speed: must be given where all motors stand still (m/s; by "
                 f"default it is {SLIP:g} of the speed of the surface of a rod that a motor turns)"
             )
+
+    @property
+    def ingredients(self) -> tuple[Ingredient, ...]:
+        """The tables of derjax's own that the file has, in the order of their terms."""
+        every = (getattr(self, name) for name in INGREDIENTS)
+        return tuple(table for table in every if table is not None)
 
     @property
     def moduli(self) -> tuple[float, ...]:
@@ -357,38 +363,15 @@ class SceneFile(Table):
     @property
     def given(self) -> dict[str, Any]:
         """The parameters that the file gives or has defaults for; None for those that follow."""
-        robot, material, fluid, head = self.robot, self.material, self.fluid, self.head
-        numbers = {
-            "helix_radius": robot.helix_radius,
-            "pitch": robot.pitch,
-            "axial_length": robot.axial_length,
-            "rod_radius": robot.rod_radius,
-            "head_radius": robot.head_radius,
-            "youngs_modulus": material.youngs_modulus,
-            "poisson_ratio": material.poisson_ratio,
-            "density": material.density,
-            "viscosity": fluid.viscosity,
-            "fluid_density": fluid.fluid_density,
-            "regularization": fluid.regularization,
-            "C_t": head.C_t,
-            "C_r": head.C_r,
-            "rpm": self.motor.rpm if self.motor_table is None else np.array(self.motor_table.rpm),
-        }
-        if robot.kind == "clamped":
-            del numbers["head_radius"], numbers["C_t"], numbers["C_r"]
-        if robot.shape != "helix":
-            del numbers["helix_radius"], numbers["pitch"]
-        if robot.shape == "arc":
-            numbers["bend"] = robot.bend
-        if robot.count > 1:
-            numbers["separation"] = robot.separation
-        if self.contact_method == "smooth":
-            numbers["contact_stiffness"] = self.contact.stiffness
-        if self.rubbing and self.friction is not None:
-            numbers["friction"] = self.friction.coefficient
-        for name in EACH:
-            if isinstance(numbers.get(name), tuple):
-                numbers[name] = np.array(numbers[name])
+        numbers: dict[str, Any] = {}
+        for table in self.ingredients:
+            for key, parameter in table.PARAMETERS.items():
+                if parameter.when(self):
+                    value = getattr(table, key)
+                    whole = parameter.each and isinstance(value, tuple)
+                    numbers[parameter.name] = np.array(value) if whole else value
+        if self.motor_table is not None:
+            numbers["rpm"] = np.array(self.motor_table.rpm)
         for name, table in self.extensions:
             for key in table.NUMBERS:
                 value = getattr(table, key)

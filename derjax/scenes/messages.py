@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 
 from ..core.errors import InputError
 from .extensions import extension_names
-from .parameters import UNITS
+from .parameters import PARAMETERS
 
 T = TypeVar("T", bound=BaseModel)
 
@@ -97,7 +97,8 @@ def _describe(model: type[BaseModel], problem: Any) -> str:
     message = problem["msg"].removeprefix("Input ")
     if kind == "float_type" and isinstance(given, str) and _is_number(given):
         message += "; write it without quotes"
-    if kind == "greater_than" and place[-1] in UNITS and UNITS[place[-1]] == "m":
+    parameter = PARAMETERS.get(str(place[-1]))
+    if kind == "greater_than" and parameter is not None and parameter.unit == "m":
         message += "; lengths are in metres"
     return f"{_where(place)} = {_toml(given)}: {message}"
 

@@ -1,32 +1,35 @@
-"""The parameters of a scene: numbers that it can be differentiated with respect to."""
+"""The parameters of a scene: numbers that it can be differentiated with respect to.
+
+Each is declared once, in the table of scene files where it stands; this module is the list of them.
+"""
 
 import re
+from collections.abc import Callable
+from typing import Any
 
-PLACES = {
-    "helix_radius": "robot.helix_radius",
-    "pitch": "robot.pitch",
-    "axial_length": "robot.axial_length",
-    "rod_radius": "robot.rod_radius",
-    "head_radius": "robot.head_radius",
-    "bend": "robot.bend",
-    "separation": "robot.separation",
-    "youngs_modulus": "material.youngs_modulus",
-    "poisson_ratio": "material.poisson_ratio",
-    "density": "material.density",
-    "viscosity": "fluid.viscosity",
-    "fluid_density": "fluid.fluid_density",
-    "regularization": "fluid.regularization",
-    "C_t": "head.C_t",
-    "C_r": "head.C_r",
-    "rpm": "motor.rpm",
-    "contact_stiffness": "contact.stiffness",
-    "friction": "friction.coefficient",
+from .ingredients import INGREDIENTS
+from .ingredients.ingredient import Numbers, Parameter
+
+PARAMETERS: dict[str, Parameter] = {
+    parameter.name: parameter
+    for table in INGREDIENTS.values()
+    for parameter in table.PARAMETERS.values()
 }
-"""Where each parameter stands in a scene file: table and key."""
+"""Those of derjax's own tables by name."""
 
+PLACES: dict[str, str] = {
+    parameter.name: f"{name}.{key}"
+    for name, table in INGREDIENTS.items()
+    for key, parameter in table.PARAMETERS.items()
+}
+"""Where each of them stands in a scene file: table and key."""
 
-EACH = ("helix_radius", "pitch", "axial_length", "youngs_modulus", "rpm")
-"""Parameters that may have a value for each flagellum or motor: `pitch[1]` is the second one's."""
+EACH: tuple[str, ...] = tuple(name for name, p in PARAMETERS.items() if p.each)
+"""Those that may have a value for each flagellum or motor: `pitch[1]` is the second one's."""
+
+_FOLLOWING: dict[str, Callable[[Numbers], Any]] = {
+    name: p.follows for name, p in PARAMETERS.items() if p.follows is not None
+}
 
 
 def index_of(parameter: str) -> tuple[str, int | None]:
@@ -42,24 +45,9 @@ def place_of(parameter: str) -> tuple[str, str]:
     return table, key
 
 
-UNITS = {
-    "helix_radius": "m",
-    "pitch": "m",
-    "axial_length": "m",
-    "rod_radius": "m",
-    "head_radius": "m",
-    "bend": "rad",
-    "separation": "m",
-    "youngs_modulus": "Pa",
-    "poisson_ratio": "1",
-    "density": "kg/m^3",
-    "viscosity": "Pa s",
-    "fluid_density": "kg/m^3",
-    "regularization": "m",
-    "C_t": "1",
-    "C_r": "1",
-    "rpm": "rpm",
-    "contact_stiffness": "N/m",
-    "friction": "1",
-}
-"""Their units."""
+def completed(numbers: Numbers) -> dict[str, Any]:
+    """`numbers` with what follows from the others wherever there is None.
+
+    The numbers may be arrays that JAX traces: derivatives go through what follows.
+    """
+    return {k: _FOLLOWING[k](numbers) if v is None else v for k, v in numbers.items()}

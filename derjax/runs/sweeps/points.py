@@ -21,10 +21,16 @@ from ...results import summary as summaries
 from ...rods.rod import State
 from ...scenes.build import build, enlarge
 from ...scenes.file import SceneFile
-from ...scenes.motortable import MotorTable
+from ...scenes.ingredients import (
+    ContactTable,
+    FluidTable,
+    HeadTable,
+    MaterialTable,
+    MotorTable,
+    TimeTable,
+)
 from ...scenes.parameters import place_of
 from ...scenes.shape import touching_pairs
-from ...scenes.tables import ContactTable, FluidTable, HeadTable, MaterialTable, TimeTable
 from ..batch import advance, build_many, everyone, pick, repeat, spread
 
 T = TypeVar("T")

@@ -1,0 +1,67 @@
+"""[head]: the drag and mass of the robot's head."""
+
+from collections.abc import Mapping
+from typing import ClassVar, Literal
+
+import jax.numpy as jnp
+
+from ...io.fields import NonNegative, Positive
+from ...terms.fluid.head import HeadDrag
+from ...terms.term import Term
+from .ingredient import (
+    Idle,
+    Ingredient,
+    Parameter,
+    Setting,
+    because,
+    has_value,
+    is_headless,
+    is_weightless,
+)
+
+
+class HeadTable(Ingredient):
+    """[head] Drag prefactors (dimensionless) and mass (kg; default: a ball of the material).
+
+    `rotation` says which rotations of the head meet drag: its spin about its own axis only,
+    as in the paper's model of one flagellum, or all ("full", the default for several flagella).
+    `stiffness` is that of the arms of a head with several flagella, relative to the rod's.
+    """
+
+    PARAMETERS: ClassVar[Mapping[str, Parameter]] = {
+        "C_t": Parameter("C_t", "1", when=lambda s: not is_headless(s)),
+        "C_r": Parameter("C_r", "1", when=lambda s: not is_headless(s)),
+    }
+    IDLE: ClassVar[tuple[Idle, ...]] = (
+        Idle(
+            ("drag", "C_t", "C_r", "rotation", "stiffness", "mass"),
+            is_headless,
+            has_value("robot", "kind"),
+        ),
+        Idle(("mass",), is_weightless, because("without inertia and [gravity]")),
+        Idle(
+            ("C_t", "C_r", "rotation"), lambda s: s.head.drag == "none", has_value("head", "drag")
+        ),
+        Idle(
+            ("stiffness",),
+            lambda s: s.robot.count == 1,
+            because("on a robot of 1 flagellum, whose head has no arms"),
+        ),
+    )
+
+    drag: Literal["stokes", "none"] = "stokes"
+    C_t: NonNegative = 4.8
+    C_r: NonNegative = 0.36
+    rotation: Literal["spin", "full"] | None = None
+    stiffness: Positive = 100.0
+    mass: Positive | None = None
+
+    def terms(self, setting: Setting) -> list[Term]:
+        """The drag of a sphere, times the prefactors."""
+        p = setting.numbers
+        if setting.rod.topology.head is None or self.drag == "none":
+            return []
+        viscosity, radius = p["viscosity"], p["head_radius"]
+        spin = 8 * jnp.pi * viscosity * radius**3 * p["C_r"]
+        tilt = spin if setting.file.head_rotation == "full" else jnp.zeros(())
+        return [HeadDrag(6 * jnp.pi * viscosity * radius * p["C_t"], spin, tilt, radius)]

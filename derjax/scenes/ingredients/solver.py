@@ -1,0 +1,50 @@
+"""[solver]: how the equations of a step are solved."""
+
+from typing import Annotated, Literal
+
+import jax.numpy as jnp
+import numpy as np
+from pydantic import Field
+
+from ...io.fields import Count, Positive
+from ...rods.rod import Topology
+from ...solve.blocks import Layout
+from ...solve.newton import NewtonSettings
+from .ingredient import Ingredient, SceneFile, Setting
+
+LARGE = 150
+"""Nodes from which on a robot is solved for in blocks, unless the scene file says otherwise."""
+
+BLOCK = 16
+"""Nodes of a block."""
+
+
+class SolverTable(Ingredient):
+    """[solver] Newton's method: largest scaled residual, and number of iterations.
+
+    `method`: one dense matrix, or blocks along the flagella and an iterative method for what
+    couples them; by default blocks for robots of many nodes, where they can be had.
+    """
+
+    method: Literal["dense", "blocks"] | None = None
+    tolerance: Annotated[Positive, Field(lt=1)] = 1e-9
+    max_iterations: Count = 40
+
+    def layout(self, file: SceneFile, topology: Topology) -> Layout | None:
+        """The blocks of a robot that is solved for in blocks."""
+        large = topology.n_nodes >= LARGE and file.in_blocks
+        method = self.method or ("blocks" if large else "dense")
+        return Layout(topology, BLOCK) if method == "blocks" else None
+
+    def newton(self, setting: Setting) -> NewtonSettings:
+        """Residuals are measured in EI / L^2, which bends a flagellum by its own length."""
+        p, rod = setting.numbers, setting.rod
+        length = jnp.sum(rod.rest_length) / setting.file.robot.count
+        bending = jnp.mean(p["youngs_modulus"]) * jnp.pi * p["rod_radius"] ** 4 / 4
+        position = np.arange(rod.topology.n_dofs) < 3 * rod.topology.n_nodes
+        return NewtonSettings(
+            tolerance=jnp.asarray(self.tolerance),
+            force_scale=jnp.where(position, bending / length**2, bending / length),
+            size=jnp.where(position, 0.0, jnp.pi),
+            max_iterations=self.max_iterations,
+        )
