@@ -35,6 +35,7 @@ VARIANTS: dict[str, dict] = {
     "implicit, head excluded": {"fluid": {"head_nodes": "excluded"}},
     "implicit, half end nodes": {"fluid": {"end_nodes": "half"}},
     "implicit, drag on tilting head": {"head": {"rotation": "full"}},
+    "implicit, rigid hinge": {"motor": {"hinge": "rigid"}},
     "implicit, no inertia": {"time": {"inertia": False}},
     "implicit, step 2.5 ms": {"time": {"step": 2.5e-3}},
     "implicit, default fluid choices": {
@@ -74,8 +75,9 @@ def scene(rpm: int, end: float = 40.0, **tables: dict) -> SceneFile:
     fluid = REFERENCE_FLUID | tables.get("fluid", {})
     time = {"step": 1e-2, "end": end, "frame": 0.2} | tables.get("time", {})
     head = tables.get("head", {})
+    motor = {"rpm": float(rpm), "hinge": "published"} | tables.get("motor", {})
     return SceneFile.model_validate(
-        {"fluid": fluid, "time": time, "head": head, "motor": {"rpm": float(rpm)}}
+        {"fluid": fluid, "time": time, "head": head, "motor": motor}
     )
 
 

@@ -21,7 +21,7 @@ from derjax.core.runtime import use_one_blas_thread
 from derjax.integrate.frames import march_frames
 from derjax.results.dataset import to_dataset
 from derjax.results.summary import summarise
-from derjax.rods.rod import positions
+from derjax.rods.kinematics import positions
 
 from .tables import write
 

@@ -50,7 +50,7 @@ from derjax.integrate.schemes.euler import euler
 from derjax.integrate.schemes.trbdf2 import trbdf2
 from derjax.results.dataset import to_dataset
 from derjax.results.summary import summarise
-from derjax.rods.rod import positions
+from derjax.rods.kinematics import positions
 from derjax.scenes.build import enlarge
 from derjax.scenes.file import SceneFile
 from derjax.scenes.ingredients.time import TOLERANCES as DEFAULTS

@@ -41,13 +41,13 @@ from .results.mechanics import potential as potential
 from .results.mechanics import resistance as resistance
 from .results.run import Run as Run
 from .results.run import rollout as rollout
+from .rods.kinematics import angles as angles
+from .rods.kinematics import positions as positions
 from .rods.rod import Rod as Rod
 from .rods.rod import State as State
-from .rods.rod import Topology as Topology
-from .rods.rod import angles as angles
 from .rods.rod import at_rest as at_rest
-from .rods.rod import chain as chain
-from .rods.rod import positions as positions
+from .rods.topology import Topology as Topology
+from .rods.topology import chain as chain
 from .runs.batch import build_many as build_many
 from .scenes.build import build as build
 from .scenes.file import SceneFile as SceneFile

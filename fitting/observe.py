@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from derjax import State, Topology, angles, positions
 from derjax.results.head import head_angle, head_of, head_position
-from derjax.rods.rod import material_directors, tangents
+from derjax.rods.kinematics import material_directors, tangents
 
 CHANNELS = ("x", "y", "z", "head_angle")
 """What can be tracked: position of the head node (m) and angle of the head (rad)."""

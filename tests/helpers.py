@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from derjax import Rod, Scene, State, Topology, at_rest, chain
 from derjax.core.pytree import pytree, replace
 from derjax.integrate.step import predict
-from derjax.rods.rod import transport_frames
+from derjax.rods.rod import History, transport_frames
 from derjax.solve.newton import NewtonInfo
 from derjax.solve.potential import Potential, gather
 from derjax.terms import Bend, Gravity, Stage, Stretch, Term, Twist
@@ -160,14 +160,8 @@ def settled(rod: Rod, state: State, terms: tuple[Term, ...], held: tuple[int, ..
 def at_speed(state: State, velocity: Array) -> State:
     """The state with some velocity (m/s, rad/s) that it is expected to keep."""
     still = jnp.zeros_like(velocity)
-    return replace(
-        state,
-        velocity=velocity,
-        acceleration=still,
-        mean_velocity=velocity,
-        mean_acceleration=still,
-        jerk=still,
-    )
+    past = History(velocity, still, still, state.history.length)
+    return replace(state, velocity=velocity, acceleration=still, history=past)
 
 
 def order(sizes: list[float], errors: list[float]) -> float:

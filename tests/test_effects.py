@@ -84,6 +84,7 @@ OTHERS: dict[str, tuple[Any, ...]] = {
     "head.rotation": ("full", "spin"),
     "head.stiffness": (50.0,),
     "head.mass": (0.2,),
+    "motor.hinge": ("published",),
     "motor.rpm": (50.0,),
     "contact.method": ("smooth", "none"),
     "contact.stiffness": (1000.0,),

@@ -28,7 +28,7 @@ from scipy.optimize import brentq
 from derjax import Rod, Scene, State, Topology, chain, positions
 from derjax.core.pytree import replace
 from derjax.integrate.schemes.euler import euler
-from derjax.rods.rod import angles, curvature, hinge_tangents, material_directors, tangents
+from derjax.rods.kinematics import angles, curvature, hinge_tangents, material_directors, tangents
 from derjax.shapes import helix
 from derjax.solve.newton import NewtonSettings
 from derjax.terms import Gravity

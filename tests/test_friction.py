@@ -12,7 +12,7 @@ from derjax import Scene, State, Topology, positions, roll_frames
 from derjax.core.pytree import Indices, replace
 from derjax.core.status import Status
 from derjax.integrate.schemes.euler import euler
-from derjax.rods.rod import tangents
+from derjax.rods.kinematics import tangents
 from derjax.solve.newton import NewtonSettings
 from derjax.terms import Contact, Friction, Gravity, Inertia, Stretch
 from derjax.terms.contact.friction import FrictionDissipation, SlipData, slip

@@ -10,7 +10,7 @@ from helpers import carry, elasticity, perturbed, potential, rest, rotation, sha
 
 from derjax import State, Topology, angles, chain, positions
 from derjax.core.pytree import replace
-from derjax.rods.rod import tangents
+from derjax.rods.kinematics import tangents
 from derjax.shapes import helix, helix_contour, single_flagellum
 from derjax.solve.potential import gather
 from derjax.terms import (

@@ -20,6 +20,7 @@ from derjax.results.head import (
     head_position,
     head_spin,
 )
+from derjax.rods.rod import no_history
 from derjax.shapes import (
     RobotGeometry,
     arc,
@@ -375,11 +376,8 @@ def moved(body: RobotGeometry, turns: list[np.ndarray], omega: np.ndarray) -> St
         frames.append((np.concatenate([there.ravel(), np.zeros(topology.n_edges)]), rate))
     q, velocity = (jnp.asarray(np.stack(each)) for each in zip(*frames, strict=True))
     n, e, b = len(turns), topology.n_edges, len(topology.hinges)
-    still = [jnp.zeros_like(q)] * 4
-    zeros = [
-        jnp.zeros((n, *shape)) for shape in ((), (e, 3), (b,), (len(topology.motors),), (e,), ())
-    ]
-    return State(q, velocity, *still, *zeros)
+    zeros = [jnp.zeros((n, *shape)) for shape in ((e, 3), (b,), (len(topology.motors),), (e,), ())]
+    return State(q, velocity, jnp.zeros_like(q), *zeros, no_history(q))
 
 
 @pytest.mark.parametrize(

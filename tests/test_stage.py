@@ -88,7 +88,8 @@ def test_a_uniform_flow_carries_the_robot_along(name):
     if name == "explicit":  # has inertia: start with the fluid
         along = jnp.tile(drift, scene.rod.topology.n_nodes)
         velocity = jnp.pad(along, (0, scene.rod.topology.n_edges))
-        carried = replace(state, velocity=velocity, mean_velocity=velocity)
+        past = replace(state.history, mean_velocity=velocity)
+        carried = replace(state, velocity=velocity, history=past)
     else:
         carried = state
     still, first = run(scene, state, 1, 4)

@@ -12,7 +12,7 @@ from benchmarks.rigid import rigid_motions
 from benchmarks.rigid_limit import free_motion
 from derjax import Scene, SceneFile, State, build, positions, roll_frames
 from derjax.core.pytree import replace
-from derjax.rods.rod import angles
+from derjax.rods.kinematics import angles
 from derjax.terms import Bend, HeadDrag, StokesletSegments, Twist
 
 RPM = 50.0
@@ -53,7 +53,8 @@ def swim(modulus: float, step: float) -> Moment:
     before, after, report, info = run_and_step(scene, state)
     report.raise_if_failed()
     assert info.status == 0
-    return Moment(file, scene, before, before.q + step * after.mean_velocity, after.mean_velocity)
+    velocity = after.history.mean_velocity
+    return Moment(file, scene, before, before.q + step * velocity, velocity)
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from derjax.core.pytree import replace
 from derjax.io.files import atomic_path
 from derjax.results import dataset as trajectory
 from derjax.results import plots, summary
-from derjax.rods.rod import angles, positions
+from derjax.rods.kinematics import angles, positions
 from derjax.runs.progress import Progress
 
 FILE = SceneFile.model_validate({"robot": {"edge_length": 0.03}, "motor": {"rpm": 90}})

@@ -24,13 +24,15 @@ from jaxtyping import Array, Float
 
 from ..core.pytree import pytree, replace, static
 from ..core.status import Status
-from ..rods.rod import Rod, State, positions, tangents, transport_frames
+from ..rods.kinematics import positions, tangents
+from ..rods.rod import Rod, State, transport_frames
 from ..solve.blocks import Layout
 from ..solve.newton import NewtonInfo, NewtonSettings, equilibrium
 from ..solve.potential import Dofs, Mobility, Potential, gather
 from ..solve.saddle import SaddlePointSystem, no_drag
 from ..terms.term import Prediction, Stage, Term, contributions
 from .motor import Motor
+from .predictor import expected_velocity, with_step
 from .provenance import CheckSums, changed
 from .step_size import StepSizeController
 
@@ -174,24 +176,8 @@ def _short(value: Any) -> str:
 
 
 def predicted_velocity(scene: Scene, state: State, ahead: Array) -> Dofs:
-    """The velocity (m/s, rad/s) some time (s) ahead, if motion goes on as it did.
-
-    Only where it is smooth: after a jump, as at the start, velocity is taken as constant. What is
-    smooth shows in the power of the solver's units of force and torque, in which positions and
-    angles count alike for robots of all sizes.
-    """
-
-    def size(velocity: Dofs) -> Array:
-        return jnp.sum((scene.newton.force_scale * velocity) ** 2)
-
-    # Before the first step there is no mean, but there may be a velocity.
-    velocity = jnp.where(state.length > 0.0, state.mean_velocity, state.velocity)
-    later = 0.5 * state.length + ahead
-    first = later * state.mean_acceleration
-    second = 0.5 * later * (later + state.length) * state.jerk
-    first = jnp.where(size(first) < size(velocity), first, 0.0)
-    second = jnp.where(size(second) < size(first), second, 0.0)
-    return velocity + first + second
+    """The velocity (m/s, rad/s) some time (s) ahead, if motion goes on as it did."""
+    return expected_velocity(state, ahead, scene.newton.force_scale)
 
 
 def predicted_displacement(scene: Scene, state: State, ahead: Array) -> Dofs:
@@ -359,21 +345,6 @@ def finish_step(
         new,
         velocity=velocity,
         acceleration=acceleration,
-        mean_velocity=(q - state.q) / length,
-        mean_acceleration=mean_acceleration(state, length, q),
-        jerk=jerk(state, length, q),
-        length=length,
         time=state.time + length,
+        history=with_step(state, length, q),
     )
-
-
-def jerk(state: State, length: Array, q: Dofs) -> Dofs:
-    """d3q/dt3 (m/s^3 and rad/s^3), from a step to `q` and two of one length before it."""
-    change = mean_acceleration(state, length, q) - state.mean_acceleration
-    return change / (0.25 * length + 0.75 * state.length)
-
-
-def mean_acceleration(state: State, length: Array, q: Dofs) -> Dofs:
-    """From the middle of the last step to that of one to `q` (m/s^2 and rad/s^2)."""
-    change = (q - state.q) / length - state.mean_velocity
-    return 2.0 * change / (length + state.length)

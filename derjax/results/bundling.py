@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..rods.rod import Topology
+from ..rods.topology import Topology
 from ..rods.vectors import cross, dot
 from ..terms.contact.neighbours import closest
 from ..terms.contact.repulsion import Contact, ContactLaw, force, meeting

@@ -26,7 +26,9 @@ from ..integrate.motor import Motor
 from ..integrate.provenance import changed
 from ..integrate.step import Scene
 from ..io.files import atomic_path, make_room
-from ..rods.rod import State, Topology, angles, positions
+from ..rods.kinematics import angles, positions
+from ..rods.rod import State
+from ..rods.topology import Topology
 from ..scenes.extensions import unit_of
 from ..scenes.file import SceneFile
 from ..terms.contact.repulsion import Contact

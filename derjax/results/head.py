@@ -5,7 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..rods.rod import Head, State, Topology, angles, positions
+from ..rods.kinematics import angles, positions
+from ..rods.rod import State
+from ..rods.topology import Head, Topology
 from ..rods.vectors import cross, dot, parallel_transport, signed_angle, unit
 
 

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..integrate.step import Scene, fluid_velocity, turned
-from ..rods.rod import State, positions, tangents
+from ..rods.kinematics import positions, tangents
+from ..rods.rod import State
 from ..rods.vectors import cross
 from ..solve.potential import Contribution, Dofs, Mobility, Potential, gather
 from ..solve.saddle import drag_forces

@@ -14,7 +14,8 @@ from ..core.pytree import pytree
 from ..core.status import Status
 from ..integrate.frames import RolloutStats, march_frames, roll_frames
 from ..integrate.step import Scene
-from ..rods.rod import State, positions
+from ..rods.kinematics import positions
+from ..rods.rod import State
 from ..scenes.build import enlarge
 from ..scenes.timing import whole_number
 from . import head as kinematics

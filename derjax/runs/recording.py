@@ -17,7 +17,7 @@ from ..core.status import Status
 from ..integrate.frames import RolloutStats, march_frames, new_stats
 from ..integrate.step import Scene
 from ..io.files import atomic_path
-from ..rods.rod import State
+from ..rods.rod import History, State
 from ..scenes.file import SceneFile
 
 Advance = Callable[[State, RolloutStats], tuple[State, RolloutStats]]
@@ -100,7 +100,9 @@ def record(
 
 def save_checkpoint(recording: Recording, scene: SceneFile, path: Path) -> None:
     """Writes all that `load_checkpoint` needs to an .npz file, replacing an older one."""
-    arrays = {f"frames.{name}": leaf for name, leaf in vars(recording.stacked).items()}
+    stacked = vars(recording.stacked).copy()
+    arrays = {f"history.{name}": leaf for name, leaf in vars(stacked.pop("history")).items()}
+    arrays |= {f"frames.{name}": leaf for name, leaf in stacked.items()}
     arrays |= {f"report.{name}": leaf for name, leaf in vars(recording.report).items()}
     arrays["seconds"] = np.array([recording.wall_time, recording.compile_time])
     with atomic_path(path) as temporary:
@@ -127,7 +129,8 @@ def load_checkpoint(scene: SceneFile, path: Path) -> Recording:
             f"{path}: this run is of another scene: {'; '.join(changes)}. "
             "Only the same scene can be resumed; --overwrite starts anew"
         )
-    stacked = State(**_fields(arrays, "frames."))
+    history = History(**_fields(arrays, "history."))
+    stacked = State(**_fields(arrays, "frames."), history=history)
     n_frames = len(stacked.time)
     return Recording(
         [jax.tree.map(lambda leaf, k=k: leaf[k], stacked) for k in range(n_frames)],

@@ -18,7 +18,7 @@ from ..rods.rod import at_rest
 from .file import SceneFile
 from .ingredients.ingredient import Setting
 from .parameters import index_of, place_of
-from .shape import body_of, touching_pairs
+from .shape import geometry_of, touching_pairs
 
 Parameters = Mapping[str, Any]
 
@@ -144,7 +144,7 @@ def enlarge(scene: Scene) -> Scene:
 
 @partial(jax.jit, static_argnums=(0, 1))  # as one program: quicker than operation by operation
 def _build(scene: SceneFile, pairs: Indices | None, p: dict[str, Array]) -> Scene:
-    geometry = body_of(scene, p)
+    geometry = geometry_of(scene, p)
     rod, state = at_rest(geometry.topology, geometry.nodes)
     layout = scene.solver.layout(scene, rod.topology)
     setting = Setting(scene, p, rod, geometry, pairs, layout)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..core.errors import InputError
-from ..core.pytree import Indices
+from ..core.pytree import Indices, replace
 from ..shapes import (
     RobotGeometry,
     arc,
@@ -33,7 +33,7 @@ SHAPE = ("helix_radius", "pitch", "axial_length", "rod_radius", "separation", "b
 """The parameters that say which edges may touch."""
 
 
-def body_of(scene: SceneFile, p: Mapping[str, Array]) -> RobotGeometry:
+def geometry_of(scene: SceneFile, p: Mapping[str, Array]) -> RobotGeometry:
     """The nodes (m) of a robot at rest, and how they hang together.
 
     Their number is that of the file's own dimensions.
@@ -42,6 +42,13 @@ def body_of(scene: SceneFile, p: Mapping[str, Array]) -> RobotGeometry:
         scene: the file.
         p: its parameters, or others: those of the shape are needed.
     """
+    geometry = _joined(scene, p)
+    topology = replace(geometry.topology, motor_hinge=scene.motor.hinge)
+    return geometry._replace(topology=topology)
+
+
+def _joined(scene: SceneFile, p: Mapping[str, Array]) -> RobotGeometry:
+    """The flagella, and what joins them."""
     robot = scene.robot
     filaments, edge = _filaments(scene, p)
     if robot.kind == "single_flagellum":
@@ -112,12 +119,12 @@ def _hashable(value: Any) -> float | tuple[float, ...]:
 def _touching_pairs(scene: SceneFile, shape: tuple[tuple[str, Any], ...]) -> Indices:
     numbers = dict(shape)
     with jax.ensure_compile_time_eval():
-        body = body_of(scene, {name: jnp.asarray(value) for name, value in shape})
-        start, end = body.topology.edge_nodes.T
-        nodes = np.asarray(body.nodes)
+        geometry = geometry_of(scene, {name: jnp.asarray(value) for name, value in shape})
+        start, end = geometry.topology.edge_nodes.T
+        nodes = np.asarray(geometry.nodes)
     length = np.linalg.norm(nodes[end] - nodes[start], axis=1)
-    pairs = pairs_apart(body.topology, length, np.pi * numbers["rod_radius"])
-    _check_apart(numbers, nodes[body.topology.edge_nodes], pairs)
+    pairs = pairs_apart(geometry.topology, length, np.pi * numbers["rod_radius"])
+    _check_apart(numbers, nodes[geometry.topology.edge_nodes], pairs)
     return pairs
 
 

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..rods.rod import Topology
+from ..rods.topology import Topology
 
 Nodes = Float[Array, "n 3"]
 

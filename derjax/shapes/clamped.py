@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..rods.rod import Topology
+from ..rods.topology import Topology
 from .body import Nodes, RobotGeometry, around, distance_from_axis, on_shaft
 
 

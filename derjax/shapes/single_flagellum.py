@@ -2,7 +2,7 @@
 
 from jaxtyping import Array
 
-from ..rods.rod import Head, chain
+from ..rods.topology import Head, chain
 from .body import Nodes, RobotGeometry, on_shaft
 
 

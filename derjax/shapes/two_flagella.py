@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..rods.rod import Head, chain
+from ..rods.topology import Head, chain
 from .body import Nodes, RobotGeometry, around, on_shaft
 
 

@@ -23,7 +23,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ..core.pytree import pytree, static
-from ..rods.rod import Topology
+from ..rods.topology import Topology
 from .dense import ridge
 
 

@@ -27,7 +27,7 @@ class Stage:
     Attributes:
         length: s.
         time: s, at its end: when loads that depend on time act.
-        motor_angle: (k,) rad, natural twist of the driven hinges at its end.
+        motor_angle: (k,) rad, of the motors at its end.
         origin: (d,) m and rad; None for that of the state.
         velocity: (d,) m/s and rad/s; None for that of the state.
         fluid_velocity: (d,) m/s and rad/s, of the fluid where nodes and edges are; None for a

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from derjax import SceneFile, build
-from derjax.rods.rod import Head
+from derjax.rods.topology import Head
 from fitting.observe import interpolation, observations
 
 STEP = 0.04

@@ -4,12 +4,12 @@ from jaxtyping import Array
 
 from ...rods.rod import State
 from ...terms.term import Stage
+from ..predictor import mean_acceleration
 from ..step import (
     Scene,
     Step,
     finish_step,
     fluid_velocity,
-    mean_acceleration,
     predict,
     predicted_displacement,
     solve,

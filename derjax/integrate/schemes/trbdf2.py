@@ -29,12 +29,12 @@ from ...rods.rod import State
 from ...solve.newton import NewtonInfo, worse
 from ...solve.potential import Dofs
 from ...terms.term import Stage
+from ..predictor import has_moved, jerk
 from ..step import (
     Scene,
     Step,
     finish_step,
     fluid_velocity,
-    jerk,
     predict,
     predicted_velocity,
     solve,
@@ -102,7 +102,7 @@ def trbdf2(scene: Scene, state: State, length: Array) -> Step:
     still = jnp.zeros_like(state.q)
     count = jnp.zeros((), jnp.int32)
     start = (_End(state.q, still, still, still), NewtonInfo(count, count, count, jnp.zeros(())))
-    stages = jnp.where(state.length > 0.0, LATER, FIRST)
+    stages = jnp.where(has_moved(state), LATER, FIRST)
     (last, info), _ = lax.scan(stage, start, stages)
     error = ERROR * length**3 * jerk(state, length, last.q)
     turn = turned(scene, state, length)

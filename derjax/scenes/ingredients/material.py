@@ -9,7 +9,7 @@ from jaxtyping import Array
 from pydantic import Field
 
 from ...io.fields import Finite, Positive
-from ...rods.rod import Topology
+from ...rods.topology import Topology
 from ...terms.elastic.bend import Bend
 from ...terms.elastic.stretch import Stretch
 from ...terms.elastic.twist import Twist

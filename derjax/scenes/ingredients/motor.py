@@ -8,7 +8,7 @@ from pydantic import model_validator
 
 from ...integrate.motor import Motor
 from ...io.fields import Finite, Positive, Table
-from .ingredient import Ingredient, Parameter, Setting
+from .ingredient import Idle, Ingredient, Parameter, Setting, has_value, is_headless
 
 FASTEST_RPM = 1e6
 """No motor is faster: those of bacteria reach 1e5 (Vibrio), small turbines a few times that."""
@@ -44,9 +44,13 @@ class MotorTable(Ingredient):
     columns `time` and `rpm`, or `rpm_1`, `rpm_2` and so on for motors that differ; `columns`
     says other ones. Encoders have `counts_per_turn` of the shaft. Times are in `time_unit`, and
     `time_offset`, in that unit, is added to them: the run begins at 0.
+
+    `hinge` says how the rod bends where a motor turns it: "rigid", as everywhere else, or as in the
+    "published" model, in which it goes limp once in every turn (see `Topology.motor_hinge`).
     """
 
     PARAMETERS: ClassVar[Mapping[str, Parameter]] = {"rpm": Parameter("rpm", "rpm", each=True)}
+    IDLE: ClassVar[tuple[Idle, ...]] = (Idle(("hinge",), is_headless, has_value("robot", "kind")),)
 
     rpm: Finite | tuple[Finite, ...] = 60.0
     table: str | None = None
@@ -54,6 +58,7 @@ class MotorTable(Ingredient):
     counts_per_turn: Positive | None = None
     time_unit: Literal["s", "ms", "us", "min"] = "s"
     time_offset: Finite = 0.0
+    hinge: Literal["rigid", "published"] = "rigid"
 
     @model_validator(mode="after")
     def _one(self) -> Self:

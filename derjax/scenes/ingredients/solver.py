@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from ...io.fields import Count, Positive
-from ...rods.rod import Topology
+from ...rods.topology import Topology
 from ...solve.blocks import Layout
 from ...solve.newton import NewtonSettings
 from .ingredient import Ingredient, SceneFile, Setting

@@ -12,7 +12,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...core.pytree import Indices, pytree, static
 from ...core.status import Status
-from ...rods.rod import Rod, State, Topology, positions
+from ...rods.kinematics import positions
+from ...rods.rod import Rod, State
+from ...rods.topology import Topology
 from ...solve.potential import Dofs
 from .segments import distance
 

@@ -18,7 +18,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...core.pytree import Indices, pytree, static
-from ...rods.rod import Rod, State, positions
+from ...rods.kinematics import positions
+from ...rods.rod import Rod, State
 from ...solve.potential import Dofs, Load
 from ..term import Role, Stage, Term
 from .segments import between, closest

@@ -28,5 +28,5 @@ class Bend(Term):
 
     def contribution(self, rod: Rod, state: State, stage: Stage, cache: None) -> Elements:
         data = (self.stiffness, rod.natural_curvature, rod.hinge_length)
-        stencil = rod.topology.hinge_stencil
-        return Elements(stencil, HingePotential(energy), (hinge_frames(rod, state), data))
+        frames = hinge_frames(rod, state, stage.motor_angle)
+        return Elements(rod.topology.hinge_stencil, HingePotential(energy), (frames, data))

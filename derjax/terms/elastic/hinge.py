@@ -38,9 +38,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...core.pytree import pytree
-from ...rods.rod import Rod, State, hinge_tangents, positions
-from ...rods.rod import tangents as edge_tangents
+from ...core.pytree import pytree, replace
+from ...rods.kinematics import hinge_tangents, positions
+from ...rods.kinematics import tangents as edge_tangents
+from ...rods.rod import Rod, State
 from ...rods.vectors import cross, dot, holonomy, parallel_transport
 from ...solve.potential import Sum
 
@@ -64,17 +65,36 @@ class HingeFrames:
     twist: Float[Array, "*b"]
 
 
-def hinge_frames(rod: Rod, state: State) -> HingeFrames:
-    """The frames from which the hinges of `rod` measure their strains during a step."""
+def hinge_frames(rod: Rod, state: State, motor_angle: Float[Array, " k"]) -> HingeFrames:
+    """The frames from which the hinges of `rod` measure their strains during a step.
+
+    Strains at a motor are those between one edge and the other one turned back by the motor's
+    angle, so that it bends alike at every angle; see `Topology.motor_hinge` for the other way.
+
+    Args:
+        rod: topology and stress-free shape.
+        state: at the start of the step.
+        motor_angle: (k,) rad, of the motors, for which strains are wanted.
+    """
     topology = rod.topology
     tangent = edge_tangents(topology, positions(topology, state.q))
     sign = jnp.asarray(topology.hinge_signs)
     theta = sign * state.q[topology.edge_dofs(topology.hinge_edges)]
-    return HingeFrames(
+    frames = HingeFrames(
         tangent=jnp.stack(hinge_tangents(topology, tangent), axis=1),
         director=state.reference_director[topology.hinge_edges],
         sign=sign,
         twist=theta[:, 1] - theta[:, 0] + state.reference_twist,
+    )
+    if not topology.motors or topology.motor_hinge == "published":
+        return frames
+    driven = np.array(topology.motors)
+    t, d = frames.tangent[driven, 1], frames.director[driven, 1]
+    c, s = jnp.cos(motor_angle)[:, None], jnp.sin(motor_angle)[:, None]
+    return replace(
+        frames,
+        director=frames.director.at[driven, 1].set(c * d - s * cross(t, d)),
+        twist=frames.twist.at[driven].add(-motor_angle),
     )
 
 

@@ -1,4 +1,4 @@
-"""Twisting energy; the motors work through its natural twist."""
+"""Twisting energy; motors work against it."""
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -20,8 +20,8 @@ def energy(kappa: Float[Array, " 2"], twist: Array, data: tuple[Array, Array, Ar
 class Twist(Term):
     """`E = sum over hinges of 1/2 GJ (theta_1 - theta_0 + m_ref - natural_twist)^2 / l`.
 
-    At the driven hinges the natural twist is that of the rest shape plus the motor's angle
-    at the end of the step.
+    At a motor the twist is what is left of it once the motor's angle at the end of the stage is
+    taken out.
 
     Attributes:
         stiffness: (b,) GJ in N m^2.
@@ -30,9 +30,9 @@ class Twist(Term):
     stiffness: Float[Array, " b"]
 
     def contribution(self, rod: Rod, state: State, stage: Stage, cache: None) -> Elements:
-        natural = rod.natural_twist
-        if rod.topology.motors:
-            natural = natural.at[np.array(rod.topology.motors)].add(stage.motor_angle)
+        topology, natural = rod.topology, rod.natural_twist
+        if topology.motors and topology.motor_hinge == "published":
+            natural = natural.at[np.array(topology.motors)].add(stage.motor_angle)
         data = (self.stiffness, natural, rod.hinge_length)
-        stencil = rod.topology.hinge_stencil
-        return Elements(stencil, HingePotential(energy), (hinge_frames(rod, state), data))
+        frames = hinge_frames(rod, state, stage.motor_angle)
+        return Elements(topology.hinge_stencil, HingePotential(energy), (frames, data))

@@ -27,7 +27,8 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from ...core.pytree import Indices, pytree, replace, static
-from ...rods.rod import Rod, State, positions
+from ...rods.kinematics import positions
+from ...rods.rod import Rod, State
 from ...solve.blocks import Layout
 from ...solve.potential import Mobility
 from ..term import Prediction, Role, Stage, Term

@@ -7,7 +7,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...core.pytree import Indices, pytree
-from ...rods.rod import Rod, State, Topology, positions
+from ...rods.kinematics import positions
+from ...rods.rod import Rod, State
+from ...rods.topology import Topology
 from ...rods.vectors import dot, unit
 from ...solve.potential import Elements, QuadraticForm
 from ..term import Prediction, Role, Stage, Term

@@ -8,7 +8,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...core.pytree import Indices, pytree
-from ...rods.rod import Rod, State, Topology, positions
+from ...rods.kinematics import positions
+from ...rods.rod import Rod, State
+from ...rods.topology import Topology
 from ...rods.vectors import holonomy, norm, unit
 from ...solve.potential import Elements, QuadraticForm
 from ..term import Prediction, Role, Stage, Term

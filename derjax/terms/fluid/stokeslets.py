@@ -22,7 +22,8 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from ...core.pytree import Indices, push, pytree, replace, static
-from ...rods.rod import Rod, State, positions
+from ...rods.kinematics import positions
+from ...rods.rod import Rod, State
 from ...solve.potential import Quadratic
 from ..term import Prediction, Role, Stage, Term
 
