@@ -62,7 +62,9 @@ from .solve.potential import Pairs as Pairs
 from .solve.potential import Quadratic as Quadratic
 from .terms import Bend as Bend
 from .terms import Contact as Contact
+from .terms import Domain as Domain
 from .terms import Energy as Energy
+from .terms import FreeSpace as FreeSpace
 from .terms import Friction as Friction
 from .terms import Gravity as Gravity
 from .terms import HeadDrag as HeadDrag

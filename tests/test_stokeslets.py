@@ -16,7 +16,8 @@ from benchmarks.rigid import (
     stokeslet_resistance,
 )
 from derjax.shapes import helix
-from derjax.terms.fluid.stokeslets import flow, mobility, moments, pull, segment_kernels
+from derjax.terms.fluid.kernels import moments, segment_kernels
+from derjax.terms.fluid.stokeslets import flow, mobility, pull
 
 # A segment of length L from START to END, in a general direction.
 START = np.array([0.2, -0.1, 0.3])

@@ -7,6 +7,8 @@ from .elastic.bend import Bend as Bend
 from .elastic.stretch import Stretch as Stretch
 from .elastic.twist import Twist as Twist
 from .energy import Energy as Energy
+from .fluid.domain import Domain as Domain
+from .fluid.domain import FreeSpace as FreeSpace
 from .fluid.explicit import ExplicitDrag as ExplicitDrag
 from .fluid.head import HeadDrag as HeadDrag
 from .fluid.resistive import ResistiveDrag as ResistiveDrag

@@ -6,12 +6,10 @@ The mobility A of `stokeslets` is taken apart by blocks of some nodes in a row:
   has it for a whole robot;
 - between the pairs of blocks that are closest, and always between neighbours on a filament, it is
   A with its transpose, averaged;
-- between all others nodes act as points, with the same blob,
-
-      8 pi mu u = ((r^2 + 2 eps^2) f + (f . r) r) / (r^2 + eps^2)^(3/2)
-
-  (Cortez, Fauci & Medovikov, Phys. Fluids 17, 031504, 2005), which leaves out a part (h / r)^2 / 24
+- between all others nodes act as points with the same blob, which leaves out a part (h / r)^2 / 24
   of what two segments of length h at a distance r do to each other.
+
+What segments and points do is asked of the `Domain`, which says what the fluid is bounded by.
 
 It is only ever multiplied with forces: memory is in proportion to the number of nodes, and time
 to its square, but with the few operations that a pair of points takes.
@@ -32,16 +30,13 @@ from ...rods.rod import Rod, State
 from ...solve.blocks import Layout
 from ...solve.potential import Mobility
 from ..term import Prediction, Role, Stage, Term
-from .stokeslets import segment_kernels
+from .domain import FREE_SPACE, Domain
 
 NEAR = 6
 """Pairs of blocks that are treated segment by segment, per block."""
 
 LUMP = 4
 """Nodes in a row that are one point where the far field need not be exact."""
-
-_AWAY = 1e3
-"""m, where nodes and segments stand that are not there: out of reach of any robot."""
 
 
 @pytree
@@ -78,6 +73,7 @@ class BlockStokeslets(Term):
         regularization: eps, m.
         layout: the blocks.
         end_nodes: "half" or "full"; see `stokeslets.mobility`.
+        domain: what the fluid is bounded by.
     """
 
     role: ClassVar[Role] = Role.DRAG
@@ -86,6 +82,7 @@ class BlockStokeslets(Term):
     regularization: Float[Array, ""]
     layout: Layout = static()
     end_nodes: str = static(default="half")
+    domain: Domain = FREE_SPACE
 
     def prepare(self, rod: Rod, state: State, prediction: Prediction) -> "BlockMobility":
         """The mobility where the rod is expected to be."""
@@ -109,10 +106,11 @@ class BlockMobility:
         resistance: (b, 3m, 3m) its inverse, N s/m; zero for nodes that are not there.
         pairs: (p, 2) blocks that are close.
         between: (p, 3m, 3m) of the second on the first, m/(N s).
-        points: (b, p, 3) m from the first node, what acts on blocks that are not close; far away
-            where there is none.
+        points: (b, p, 3) m, what acts on blocks that are not close; where there is none, the
+            place of another.
         viscosity: Pa s.
         regularization: m.
+        domain: what the fluid is bounded by.
         lump: nodes in a row that one point stands for.
     """
 
@@ -124,6 +122,7 @@ class BlockMobility:
     points: Float[Array, "b p 3"]
     viscosity: Float[Array, ""]
     regularization: Float[Array, ""]
+    domain: Domain
     lump: int = static(default=1)
 
     @property
@@ -133,7 +132,8 @@ class BlockMobility:
         present = jnp.asarray(self._there, float)[..., None]
         number = self._lumped(present, LUMP)
         middle = self._lumped(present * self.points, LUMP) / jnp.maximum(number, 1.0)
-        return replace(self, points=jnp.where(number > 0.0, middle, _AWAY), lump=LUMP)
+        points = jnp.where(number > 0.0, middle, self.points[0, 0])
+        return replace(self, points=points, lump=LUMP)
 
     def _lumped(self, nodal: Float[Array, "b m k"], lump: int) -> Float[Array, "b p k"]:
         """Sums over nodes in a row."""
@@ -175,37 +175,22 @@ class BlockMobility:
         first, second = self.pairs.T
         far = far.at[first, second].set(0.0).at[second, first].set(0.0)
         forces = self._lumped(f.reshape(n_blocks, m, 3), self.lump)
-        u = _of_points(self.points, forces, far, self.regularization)
+        u = self._of_points(forces, far)
         u = jnp.repeat(u / (8.0 * jnp.pi * self.viscosity), self.lump, axis=1)[:, :m]
         return (u * self._there[:, :, None]).reshape(n_blocks, -1)
 
+    def _of_points(
+        self, forces: Float[Array, "b p 3"], felt: Float[Array, "b b"]
+    ) -> Float[Array, "b p 3"]:
+        """8 pi mu u at points, for forces on the points of the blocks that are `felt`."""
+        sources = self.points.reshape(-1, 3)
 
-def _of_points(
-    points: Float[Array, "b p 3"],
-    forces: Float[Array, "b p 3"],
-    felt: Float[Array, "b b"],
-    regularization: Array,
-) -> Float[Array, "b p 3"]:
-    """8 pi mu u at points, for forces on the points of the blocks that are `felt`.
+        def on(given: tuple[Array, Array]) -> Float[Array, "p 3"]:
+            targets, felt = given
+            acting = (felt[:, None, None] * forces).reshape(-1, 3)
+            return self.domain.point_flow(targets, sources, acting, self.regularization)
 
-    All sums are matrix products, also those in r^2 = x^2 - 2 x . y + y^2 and f . r = f . x - f . y.
-    What cancels there costs digits only where points are close, and those are not felt.
-    """
-    size, eps2 = points.shape[1], regularization**2
-    source, force = points.reshape(-1, 3), forces.reshape(-1, 3)
-    squares, work = jnp.sum(source * source, axis=1), jnp.sum(force * source, axis=1)
-    extended = jnp.pad(source, ((0, 0), (0, 1)), constant_values=1.0)
-
-    def on(given: tuple[Array, Array, Array]) -> Float[Array, "p 3"]:
-        targets, own, felt = given
-        noise_floor = own[:, None] - 2.0 * targets @ source.T + (squares + eps2)
-        noise_floor = jnp.maximum(noise_floor, eps2)
-        weight = jnp.repeat(felt, size, total_repeat_length=source.shape[0])
-        cubed = weight / (noise_floor * jnp.sqrt(noise_floor))
-        pulled = ((targets @ force.T - work) * cubed) @ extended
-        return ((noise_floor + eps2) * cubed) @ force + pulled[:, 3:] * targets - pulled[:, :3]
-
-    return lax.map(on, (points, squares.reshape(-1, size), felt))
+        return lax.map(on, (self.points, felt))
 
 
 def block_mobility(segments: BlockStokeslets, x: Float[Array, "n 3"]) -> BlockMobility:
@@ -215,10 +200,11 @@ def block_mobility(segments: BlockStokeslets, x: Float[Array, "n 3"]) -> BlockMo
     there = np.repeat(nodes >= 0, 3, axis=1).astype(float)
     present = there[:, :, None] * there[:, None, :]
     absent = np.eye(there.shape[1]) * (1.0 - there)[:, None, :]
-    # Nodes that are not there stand aside, away from everything and from each other.
-    aside = _AWAY * np.array([1.0, 0.0, 0.0]) * (1 + np.arange(around.size))[:, None]
-    extended = jnp.where((around < 0)[..., None], aside.reshape(*around.shape, 3), x[around])
-    kernel = partial(_block, segments)
+    # Nodes that are not there stand where the first is, segments where the first is: nothing comes
+    # of them, but what is computed for them must be finite in any domain.
+    spare = x[around[0, 1:3]]
+    extended = jnp.where((around < 0)[..., None], spare[0], x[around])
+    kernel = partial(_block, segments, spare)
     linked = jnp.asarray((around[:, 1:] >= 0) & (around[:, :-1] >= 0), float)
 
     own = jax.vmap(kernel)(extended[:, 1:-1], extended, linked)
@@ -245,23 +231,33 @@ def block_mobility(segments: BlockStokeslets, x: Float[Array, "n 3"]) -> BlockMo
         resistance * present,
         pairs,
         between,
-        extended[:, 1:-1] - lax.stop_gradient(extended[0, 1]),
+        extended[:, 1:-1],
         segments.viscosity,
         segments.regularization,
+        segments.domain,
     )
 
 
 def _block(
     segments: BlockStokeslets,
+    spare: Float[Array, "2 3"],
     targets: Float[Array, "m 3"],
     around: Float[Array, "m+2 3"],
     linked: Float[Array, " m+1"],
 ) -> Float[Array, "3m 3m"]:
-    """Mobility of the forces on the nodes of one block at some targets, m/(N s)."""
+    """Mobility of the forces on the nodes of one block at some targets, m/(N s).
+
+    Args:
+        segments: the fluid.
+        spare: m, the ends of a segment that is there, where those stand that are not.
+        targets: m.
+        around: m, the nodes of the block, the one before and the one after.
+        linked: 1 for segments that are there, 0 for others.
+    """
     there = linked[:, None] > 0.0
-    starts = jnp.where(there, around[:-1], _AWAY * np.array([0.0, 1.0, 0.0]))
-    ends = jnp.where(there, around[1:], _AWAY * np.array([0.0, 1.0, 0.1]))
-    m1, m2 = segment_kernels(targets, starts, ends, segments.regularization)
+    starts = jnp.where(there, around[:-1], spare[0])
+    ends = jnp.where(there, around[1:], spare[1])
+    m1, m2 = segments.domain.segment_kernels(targets, starts, ends, segments.regularization)
     m1, m2 = linked * m1, linked * m2
     if segments.end_nodes == "half":
         edge = ends - starts

@@ -1,18 +1,13 @@
 """Slender filaments in Stokes flow: regularized Stokeslet segments.
 
-The flow of a straight segment that carries a force density linear along it, each point force
-spread by the blob 15 eps^4 / (8 pi (r^2 + eps^2)^(7/2)), is known in closed form (Cortez,
-J. Comput. Phys. 375, 783, 2018). For a segment from y0 to y1 with v = y0 - y1, x0 = x - y0,
-R(a)^2 = |x0 + a v|^2 + eps^2 and the moments T_mq = int_0^1 a^m R^-q da,
-
-    8 pi mu u(x) = L (M1 f0 + M2 f1),
-    M2 = (T11 + eps^2 T13) I + T13 x0 x0 + T23 (x0 v + v x0) + T33 v v,
-    M1 = (T01 + eps^2 T03) I + T03 x0 x0 + T13 (x0 v + v x0) + T23 v v - M2.
+Every edge of a filament carries a force density that is linear along it. The flow of such segments
+is asked of the `Domain`, which says what the fluid is bounded by; here it is collocated at the
+nodes, and made a drag.
 """
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -26,121 +21,7 @@ from ...rods.kinematics import positions
 from ...rods.rod import Rod, State
 from ...solve.potential import Quadratic
 from ..term import Prediction, Role, Stage, Term
-
-
-class Moments(NamedTuple):
-    """T_mq = int_0^1 a^m R(a)^-q da of a segment, in the units of R^-q."""
-
-    t01: Array
-    t03: Array
-    t11: Array
-    t13: Array
-    t23: Array
-    t33: Array
-
-
-def moments(r0: Array, r1: Array, length_squared: Array, x0_v: Array) -> Moments:
-    """The moments of a segment from R at its two ends, |v|^2 and x0 . v.
-
-    T01 and T03 are written with R0 + R1 and R0 R1, which (unlike the textbook differences of
-    logarithms and of inverses) keep their digits when x is in line with the segment; the
-    others follow by integration by parts.
-    """
-    length = jnp.sqrt(length_squared)
-    sum_, inverse0, inverse1 = r0 + r1, 1.0 / r0, 1.0 / r1
-    t01 = 2.0 / length * jnp.arctanh(length / sum_)
-    t03 = 2.0 * sum_ * inverse0 * inverse1 / ((sum_ - length) * (sum_ + length))
-    t11 = (r1 - r0 - x0_v * t01) / length_squared
-    t13 = (inverse0 - inverse1 - x0_v * t03) / length_squared
-    t23 = (t01 - inverse1 - x0_v * t13) / length_squared
-    t33 = (2.0 * t11 - inverse1 - x0_v * t23) / length_squared
-    return Moments(t01, t03, t11, t13, t23, t33)
-
-
-def segment_kernels(
-    targets: Float[Array, "n 3"],
-    starts: Float[Array, "s 3"],
-    ends: Float[Array, "s 3"],
-    regularization: Array,
-) -> tuple[Float[Array, "3 3 n s"], Float[Array, "3 3 n s"]]:
-    """The kernels M1 and M2 (1/m) of every segment at every target."""
-    v, x0, t = _moments(
-        targets.T[:, :, None], starts.T[:, None, :], ends.T[:, None, :], regularization
-    )
-    x0_x0, v_v = x0[:, None] * x0, v[:, None] * v
-    x0_v_tensor = x0[:, None] * v + v[:, None] * x0
-    identity = jnp.eye(3)[:, :, None, None]
-    isotropic1 = t.t01 + regularization**2 * t.t03
-    isotropic2 = t.t11 + regularization**2 * t.t13
-    m2 = isotropic2 * identity + t.t13 * x0_x0 + t.t23 * x0_v_tensor + t.t33 * v_v
-    m1 = isotropic1 * identity + t.t03 * x0_x0 + t.t13 * x0_v_tensor + t.t23 * v_v - m2
-    return m1, m2
-
-
-def segment_flow(
-    targets: Float[Array, "n 3"],
-    starts: Float[Array, "s 3"],
-    ends: Float[Array, "s 3"],
-    at_start: Float[Array, "s 3"],
-    at_end: Float[Array, "s 3"],
-    regularization: Array,
-) -> Float[Array, "n 3"]:
-    """`M1 f0 + M2 f1` summed over segments, in the units of f per m.
-
-    The same as with the kernels, in a quarter of the operations.
-    """
-    v, x0, t = _moments(
-        targets.T[:, :, None], starts.T[:, None, :], ends.T[:, None, :], regularization
-    )
-    f0, slope = at_start.T[:, None, :], (at_end - at_start).T[:, None, :]
-    x0_f0, v_f0 = jnp.sum(x0 * f0, axis=0), jnp.sum(v * f0, axis=0)
-    x0_slope, v_slope = jnp.sum(x0 * slope, axis=0), jnp.sum(v * slope, axis=0)
-    isotropic1 = t.t01 + regularization**2 * t.t03
-    isotropic2 = t.t11 + regularization**2 * t.t13
-    along_x0 = t.t03 * x0_f0 + t.t13 * (v_f0 + x0_slope) + t.t23 * v_slope
-    along_v = t.t13 * x0_f0 + t.t23 * (v_f0 + x0_slope) + t.t33 * v_slope
-    flow = isotropic1 * f0 + isotropic2 * slope + along_x0 * x0 + along_v * v
-    return jnp.sum(flow, axis=-1).T
-
-
-def segment_pull(
-    targets: Float[Array, "n 3"],
-    starts: Float[Array, "s 3"],
-    ends: Float[Array, "s 3"],
-    at_targets: Float[Array, "n 3"],
-    regularization: Array,
-) -> tuple[Float[Array, "s 3"], Float[Array, "s 3"]]:
-    """The transpose of `segment_flow`: `M1 g` and `M2 g` summed over targets."""
-    # Segments by targets, as sums along the last axis are quicker.
-    v, x0, t = _moments(
-        targets.T[:, None, :], starts.T[:, :, None], ends.T[:, :, None], regularization
-    )
-    g = at_targets.T[:, None, :]
-    x0_g, v_g = jnp.sum(x0 * g, axis=0), jnp.sum(v * g, axis=0)
-    isotropic1 = t.t01 + regularization**2 * t.t03
-    isotropic2 = t.t11 + regularization**2 * t.t13
-    both = (
-        isotropic1 * g + (t.t03 * x0_g + t.t13 * v_g) * x0 + (t.t13 * x0_g + t.t23 * v_g) * v,
-        isotropic2 * g + (t.t13 * x0_g + t.t23 * v_g) * x0 + (t.t23 * x0_g + t.t33 * v_g) * v,
-    )
-    first, second = (jnp.sum(part, axis=-1).T for part in both)
-    return first - second, second
-
-
-def _moments(
-    targets: Float[Array, "3 *#p"],
-    starts: Float[Array, "3 *#p"],
-    ends: Float[Array, "3 *#p"],
-    regularization: Array,
-) -> tuple[Float[Array, "3 *#p"], Float[Array, "3 *#p"], Moments]:
-    """v, x0 and the moments of pairs of a segment and a target."""
-    v, x0 = starts - ends, targets - starts
-    length_squared = jnp.sum(v * v, axis=0)
-    x0_v = jnp.sum(x0 * v, axis=0)
-    squared = jnp.sum(x0 * x0, axis=0) + regularization**2
-    r0 = jnp.sqrt(squared)
-    r1 = jnp.sqrt(squared + 2.0 * x0_v + length_squared)
-    return v, x0, moments(r0, r1, length_squared, x0_v)
+from .domain import FREE_SPACE, Domain
 
 
 def _by_node(starts: Float[Array, "*b s"], ends: Float[Array, "*b s"]) -> Float[Array, "*b n"]:
@@ -154,6 +35,7 @@ def mobility(
     viscosity: Array,
     regularization: Array,
     end_nodes: str,
+    domain: Domain = FREE_SPACE,
 ) -> Float[Array, "3m 3m"]:
     """Matrix (m/(N s)) that takes forces on the nodes of `filaments` to their velocities.
 
@@ -165,11 +47,12 @@ def mobility(
             that the node stands for, half a segment at the two ends. "full": by the length
             of one segment everywhere, as published codes have it; it gives the end nodes
             twice the length that they stand for.
+        domain: what the fluid is bounded by.
     """
     targets = jnp.concatenate(filaments)
     columns = []
     for nodes in filaments:
-        m1, m2 = segment_kernels(targets, nodes[:-1], nodes[1:], regularization)
+        m1, m2 = domain.segment_kernels(targets, nodes[:-1], nodes[1:], regularization)
         if end_nodes == "half":
             length = _lengths(nodes)
             columns.append(_by_node(length * m1, length * m2) / _by_node(length / 2, length / 2))
@@ -186,19 +69,15 @@ def flow(
     viscosity: Array,
     regularization: Array,
     end_nodes: str,
+    domain: Domain = FREE_SPACE,
 ) -> Float[Array, "m 3"]:
     """The product of `mobility` with forces (N) on all nodes: their velocities (m/s)."""
     targets, total, place = jnp.concatenate(filaments), jnp.zeros_like(forces), 0
     for nodes in filaments:
-        density = forces[place : place + len(nodes)]
+        own = forces[place : place + len(nodes)]
         place += len(nodes)
-        if end_nodes == "half":
-            length = _lengths(nodes)
-            density = density / _by_node(length / 2, length / 2)[:, None]
-            at_start, at_end = length[:, None] * density[:-1], length[:, None] * density[1:]
-        else:
-            at_start, at_end = density[:-1], density[1:]
-        total += segment_flow(targets, nodes[:-1], nodes[1:], at_start, at_end, regularization)
+        segments = nodes[:-1], nodes[1:], *_densities(nodes, own, end_nodes)
+        total += domain.segment_flow(targets, *segments, regularization)
     return total / (8.0 * jnp.pi * viscosity)
 
 
@@ -208,18 +87,26 @@ def pull(
     viscosity: Array,
     regularization: Array,
     end_nodes: str,
+    domain: Domain = FREE_SPACE,
 ) -> Float[Array, "m 3"]:
     """The product of the transpose of `mobility` with a vector for every node."""
     targets, parts = jnp.concatenate(filaments), []
     for nodes in filaments:
-        first, second = segment_pull(targets, nodes[:-1], nodes[1:], vectors, regularization)
-        if end_nodes == "half":
-            length = _lengths(nodes)
-            part = _by_node(length * first.T, length * second.T)
-            parts.append((part / _by_node(length / 2, length / 2)).T)
-        else:
-            parts.append(_by_node(first.T, second.T).T)
+        both = domain.segment_pull(targets, nodes[:-1], nodes[1:], vectors, regularization)
+        densities = partial(_densities, nodes, end_nodes=end_nodes)
+        parts += jax.linear_transpose(densities, nodes)(both)
     return jnp.concatenate(parts) / (8.0 * jnp.pi * viscosity)
+
+
+def _densities(
+    nodes: Float[Array, "n 3"], forces: Float[Array, "n 3"], end_nodes: str
+) -> tuple[Float[Array, "n-1 3"], Float[Array, "n-1 3"]]:
+    """Force densities at the start and the end of every segment, times its length: N."""
+    if end_nodes == "full":
+        return forces[:-1], forces[1:]
+    length = _lengths(nodes)
+    density = forces / _by_node(length / 2, length / 2)[:, None]
+    return length[:, None] * density[:-1], length[:, None] * density[1:]
 
 
 def _lengths(nodes: Float[Array, "n 3"]) -> Float[Array, " n-1"]:
@@ -244,6 +131,9 @@ class StokesletSegments(Term):
         regularization: eps, m.
         solved: node paths that take part in the solve.
         dragged: nodes among them on which the force acts; forces on the others are dropped.
+        end_nodes: "half" or "full"; see `mobility`.
+        drag_matrix: see above.
+        domain: what the fluid is bounded by.
     """
 
     role: ClassVar[Role] = Role.DRAG
@@ -254,6 +144,7 @@ class StokesletSegments(Term):
     dragged: tuple[int, ...] = static()
     end_nodes: str = static(default="half")
     drag_matrix: str = static(default="symmetric")
+    domain: Domain = FREE_SPACE
 
     @property
     def nodes(self) -> np.ndarray:
@@ -267,8 +158,7 @@ class StokesletSegments(Term):
 
     def mobility(self, x: Float[Array, "n 3"]) -> Float[Array, "3m 3m"]:
         """Matrix (m/(N s)) whose inverse `drag_matrix` is made of, for nodes at `x` (m)."""
-        filaments = tuple(x[np.array(path)] for path in self.solved)
-        a = mobility(filaments, self.viscosity, self.regularization, self.end_nodes)
+        a = mobility(self._filaments(x), *self._fluid)
         if self.drag_matrix == "lower_triangle":
             a = jnp.tril(a) + jnp.tril(a, -1).T
         return a
@@ -288,9 +178,14 @@ class StokesletSegments(Term):
         return self._through(pull, x, vector)
 
     def _through(self, map_: Callable[..., Array], x: Array, vector: Array) -> Array:
-        filaments = tuple(x[np.array(path)] for path in self.solved)
-        fluid = self.viscosity, self.regularization, self.end_nodes
-        return map_(filaments, vector.reshape(-1, 3), *fluid).ravel()
+        return map_(self._filaments(x), vector.reshape(-1, 3), *self._fluid).ravel()
+
+    def _filaments(self, x: Float[Array, "n 3"]) -> tuple[Float[Array, "_ 3"], ...]:
+        return tuple(x[np.array(path)] for path in self.solved)
+
+    @property
+    def _fluid(self) -> tuple[Array, Array, str, Domain]:
+        return self.viscosity, self.regularization, self.end_nodes, self.domain
 
     def resistance(self, x: Float[Array, "n 3"]) -> Float[Array, "3m 3m"]:
         """Matrix (N s/m) that takes velocities of the solved nodes to the drag on them."""
