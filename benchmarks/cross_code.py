@@ -76,9 +76,7 @@ def scene(rpm: int, end: float = 40.0, **tables: dict) -> SceneFile:
     time = {"step": 1e-2, "end": end, "frame": 0.2} | tables.get("time", {})
     head = tables.get("head", {})
     motor = {"rpm": float(rpm), "hinge": "published"} | tables.get("motor", {})
-    return SceneFile.model_validate(
-        {"fluid": fluid, "time": time, "head": head, "motor": motor}
-    )
+    return SceneFile.model_validate({"fluid": fluid, "time": time, "head": head, "motor": motor})
 
 
 _rollout = jax.jit(derjax.roll_frames, static_argnums=(2, 3))
