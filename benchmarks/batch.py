@@ -29,7 +29,7 @@ import pandas as pd
 
 import derjax
 from derjax.core.runtime import enable_compilation_cache, use_one_blas_thread
-from derjax.runs.batch import ALL, advance, build_many, processors, spread, use_all_processors
+from derjax.runs.batch import ALL, advance, build_many, processors, shard, use_all_processors
 from derjax.scenes.file import SceneFile
 
 from .tables import write
@@ -69,7 +69,7 @@ def measure(end: float, rounds: int) -> list[dict[str, object]]:
 
         def run() -> object:
             scenes = build_many(file, numbers)
-            return advance(spread(scenes, scenes.start), n_frames, steps, lanes)[1]
+            return advance(shard(scenes, scenes.start), n_frames, steps, lanes)[1]
 
         return run
 

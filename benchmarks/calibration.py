@@ -30,7 +30,7 @@ from fitting.model import Model
 from fitting.observe import interpolation
 from fitting.outcome import Fit
 from fitting.tracks import Dataset, Run
-from fitting.transforms import choose
+from fitting.transforms import select_parameters
 
 FIGURES = Path(__file__).parent.parent / "docs" / "figures"
 TRUTH = {"C_t": 4.0, "C_r": 0.45}
@@ -112,7 +112,7 @@ def track(scene: SceneFile, end: float) -> np.ndarray:
     """(t, 4) what a camera with a frame in every step would see of the true robot."""
     times = np.arange(1, round(end / scene.step)) * scene.step
     run = Run("", times, (0,), np.zeros((len(times), 1)))
-    model = Model(Dataset(scene, (run,)), choose(NAMES, scene.parameters))
+    model = Model(Dataset(scene, (run,)), select_parameters(NAMES, scene.parameters))
     trial = model.whole(model.parameters.free(TRUTH))
     if trial is None:
         raise SystemExit(model.failure)

@@ -13,7 +13,7 @@ import numpy as np
 
 from fitting import load_dataset
 from fitting.model import Model
-from fitting.transforms import choose
+from fitting.transforms import select_parameters
 from fitting.uncertainty import coverage, uncertainty
 
 DATASET = Path(__file__).parents[1] / "data" / "camera" / "dataset.toml"
@@ -26,7 +26,7 @@ SEEDS = range(100)
 def main() -> None:
     """Print how often each interval contains the truth, and how wide it is."""
     dataset = load_dataset(DATASET)
-    parameters = choose(tuple(TRUTH), dataset.scene.parameters)
+    parameters = select_parameters(tuple(TRUTH), dataset.scene.parameters)
     model = Model(dataset, parameters)
     trial = model.whole(parameters.free(TRUTH))
     if trial is None:

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from derjax import at_rest, chain
-from derjax.solve.potential import gather
+from derjax.solve.potential import assemble
 from derjax.terms import ResistiveDrag, Stage, StokesletSegments
 from derjax.terms.term import contributions
 
@@ -65,7 +65,7 @@ def resistive_resistance(
     rod, state = at_rest(chain(n, filaments=(tuple(range(n)),)), nodes)
     term = ResistiveDrag(jnp.asarray(parallel), jnp.asarray(normal))
     second = Stage(jnp.ones(()), jnp.ones(()), jnp.zeros(0))
-    return gather(contributions([term], rod, state, second)).hessian(state.q)[: 3 * n, : 3 * n]
+    return assemble(contributions([term], rod, state, second)).hessian(state.q)[: 3 * n, : 3 * n]
 
 
 def propulsion(matrix: Float[Array, "6 6"]) -> dict[str, float]:

@@ -22,7 +22,7 @@ from .outcome import Fit, Progress
 from .plausible import runaway, unlikely
 from .simulate import SimulatedTrack
 from .tracks import Dataset
-from .transforms import Parameters, choose
+from .transforms import Parameters, select_parameters
 from .uncertainty import Residuals
 
 Free = Float[np.ndarray, " p"]
@@ -111,7 +111,7 @@ def beginning(
         InputError: a parameter that does not exist or a start outside of its range.
     """
     known = dataset.scene.single_numbers
-    chosen = choose(parameters, known)
+    chosen = select_parameters(parameters, known)
     for name in initial:
         if name not in chosen.names:
             raise InputError(f"a start is given for {name}, which is not among the parameters")

@@ -16,7 +16,7 @@ from derjax.terms.fluid.head import HeadDrag
 
 from .descent import descend
 from .simulate import build_with
-from .transforms import Interval, Parameters, choose
+from .transforms import Interval, Parameters, select_parameters
 
 Merit = Callable[[Scene, State], Array]
 """From a scene and its saved frames (a `State` with a leading axis) to a scalar."""
@@ -40,7 +40,7 @@ def efficiency(scene: Scene, frames: State) -> Array:
     turned = head_angle(scene.rod.topology, frames)
     duration = frames.time[-1] - frames.time[0]
     spin = (turned[-1] - turned[0]) / duration
-    motor = jnp.sum(scene.motor.turned(frames.time[0], frames.time[-1])) / duration
+    motor = jnp.sum(scene.motor.rotation(frames.time[0], frames.time[-1])) / duration
     power = drag.spin * jnp.abs(spin) * jnp.abs(motor)
     return drag.translation * speed(scene, frames) ** 2 / power
 
@@ -85,7 +85,7 @@ def design(
         InputError: unknown parameters, or a start outside of its bounds.
         SolverError: the simulation fails at the start.
     """
-    names = choose(tuple(bounds), scene.single_numbers).names
+    names = select_parameters(tuple(bounds), scene.single_numbers).names
     for name, (low, high) in bounds.items():
         if not low < high:
             raise InputError(f"bounds of {name}: {low:g} is not less than {high:g}")

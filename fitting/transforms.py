@@ -91,7 +91,7 @@ class Parameters:
         ).reshape(-1)
 
 
-def choose(names: Sequence[str], known: Mapping[str, object]) -> Parameters:
+def select_parameters(names: Sequence[str], known: Mapping[str, object]) -> Parameters:
     """The parameters `names` of a scene, positive ones on a logarithmic scale.
 
     Args:

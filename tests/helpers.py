@@ -13,7 +13,7 @@ from derjax.core.pytree import pytree, replace
 from derjax.integrate.step import predict
 from derjax.rods.rod import History, transport_frames
 from derjax.solve.newton import NewtonInfo
-from derjax.solve.potential import Potential, gather
+from derjax.solve.potential import Potential, assemble
 from derjax.terms import Bend, Gravity, Stage, Stretch, Term, Twist
 from derjax.terms.term import contributions
 
@@ -71,7 +71,7 @@ def potential(
     rod: Rod, state: State, terms: tuple[Term, ...], step: float | Array = 1.0
 ) -> Potential:
     """The incremental potential of a step of length `step` (s) without motion of the motors."""
-    return gather(contributions(terms, rod, state, stage_from(state, step)))
+    return assemble(contributions(terms, rod, state, stage_from(state, step)))
 
 
 def stage_from(state: State, length: float | Array) -> Stage:

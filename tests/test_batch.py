@@ -17,13 +17,13 @@ from derjax.runs import batch
 from derjax.runs.batch import (
     ALL,
     advance,
+    all_runs,
     build_many,
-    everyone,
+    local_runs,
     march_many,
-    mine,
     pick,
     repeat,
-    spread,
+    shard,
     stack,
 )
 
@@ -97,11 +97,11 @@ def test_other_numbers_use_the_same_program(monkeypatch):
     monkeypatch.setattr(batch, "march_frames", traced_march)
     scenes = build_many(FILE, {"viscosity": np.linspace(0.5, 1.0, 5), "rpm": RATES})
     states = scenes.start
-    laid = spread(scenes, states)
+    laid = shard(scenes, states)
     laid, _ = advance(laid, 1, STEPS)
     advance(laid, 1, STEPS)
-    advance(spread(*scenes_and_states()), 1, STEPS)
-    fewer = spread(pick(scenes, slice(3)), pick(states, slice(3)), places=5)
+    advance(shard(*scenes_and_states()), 1, STEPS)
+    fewer = shard(pick(scenes, slice(3)), pick(states, slice(3)), slots=5)
     advance(fewer, 1, STEPS)
     assert len(traced) == 1
 
@@ -130,14 +130,14 @@ def test_a_failed_run_does_not_disturb_the_others(singles):
 
 
 def test_a_batch_goes_on_where_it_stopped(singles):
-    started = spread(*scenes_and_states())
+    started = shard(*scenes_and_states())
     parts = []
     for _ in range(2):
         started, part = advance(started, N_FRAMES // 2, STEPS)
-        parts.append(everyone(started, part))
+        parts.append(all_runs(started, part))
     frames = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1), *parts)
-    assert_same((frames, everyone(started, started.reports)), singles)
-    numbers, reports = mine(started, started.reports)
+    assert_same((frames, all_runs(started, started.reports)), singles)
+    numbers, reports = local_runs(started, started.reports)
     assert numbers.tolist() == [0, 1, 2, 3, 4]
     np.testing.assert_array_equal(reports.steps, [int(r.steps) for _, r in singles])
 
@@ -174,18 +174,18 @@ if len(sys.argv) > 2:
     jax.distributed.initialize(sys.argv[2], 2, int(sys.argv[3]))
 import numpy as np
 from derjax import SceneFile
-from derjax.runs.batch import advance, build_many, everyone, mine, spread
+from derjax.runs.batch import advance, build_many, all_runs, local_runs, shard
 file = SceneFile.model_validate_json({file!r})
 scenes = build_many(file, {{"rpm": np.array({rates}), "C_t": np.array({prefactors})}})
-batch = spread(scenes, scenes.start)
+batch = shard(scenes, scenes.start)
 batch, frames = advance(batch, {n_frames}, {steps})
-numbers, own = mine(batch, frames.q[:, -1, 0])
+numbers, own = local_runs(batch, frames.q[:, -1, 0])
 print(json.dumps({{
     "devices": jax.device_count(),
     "kept": len(batch.reports.steps.sharding.device_set),
     "numbers": numbers.tolist(),
     "own": own.tolist(),
-    "all": everyone(batch, frames).q[:, -1, 0].tolist(),
+    "all": all_runs(batch, frames).q[:, -1, 0].tolist(),
 }}))
 """
 

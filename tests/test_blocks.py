@@ -14,7 +14,7 @@ from derjax.core.status import Status
 from derjax.integrate.frames import new_stats
 from derjax.integrate.step import predict
 from derjax.solve.blocks import Layout, multiply
-from derjax.solve.potential import Mobility, gather
+from derjax.solve.potential import Mobility, assemble
 from derjax.solve.saddle import SaddlePointSystem, no_drag
 from derjax.terms import StokesletSegments
 from derjax.terms.contact import neighbours as neighbourhood
@@ -60,9 +60,9 @@ def saddle_of(scene: Scene, state: State) -> SaddlePointSystem:
     parts = contributions(scene.terms, scene.rod, state, stage_from(state, h), prediction)
     drag = next((c for c in parts if isinstance(c, Mobility)), None)
     free = np.ones(topology.n_dofs)
-    free[list(topology.clamped)] = 0.0
+    free[list(topology.fixed_dofs)] = 0.0
     return SaddlePointSystem(
-        potential=gather([c for c in parts if c is not drag]),
+        potential=assemble([c for c in parts if c is not drag]),
         drag=drag or no_drag(scene.layout),
         layout=scene.layout,
         held=state.q,
@@ -89,7 +89,7 @@ def test_rods_couple_neighbours_only_so_that_the_factor_is_exact(name, rng):
     _, scene, rest = both(name, fluid={"hydrodynamics": "rft"})
     state = perturbed(scene.rod, rest, rng, 1e-3)
     free = np.ones(state.q.size)
-    free[list(scene.rod.topology.clamped)] = 0.0
+    free[list(scene.rod.topology.fixed_dofs)] = 0.0
 
     @jax.jit
     def there_and_back(x: jax.Array) -> jax.Array:
@@ -117,7 +117,7 @@ def test_the_mobility_is_that_of_the_whole_robot(name, rng):
         law = share(drag, scene.rod, state, scene.step_length).law
         a = mobility(paths, drag.viscosity, drag.regularization, drag.end_nodes)
         inverse = jnp.linalg.inv(a)
-        return law.apply(f), law.apply(g), jnp.linalg.solve(0.5 * (inverse + inverse.T), f)
+        return law.mv(f), law.mv(g), jnp.linalg.solve(0.5 * (inverse + inverse.T), f)
 
     size = sum(3 * len(p) for p in paths)
     f, g = rng.standard_normal((2, size))
@@ -145,7 +145,7 @@ def test_the_coarse_mobility_is_symmetric_and_close(large, rng):
     @jax.jit
     def products(f: jax.Array, g: jax.Array) -> tuple[jax.Array, ...]:
         law = share(drag, scene.rod, state, scene.step_length).law
-        return law.apply(f), law.coarse.apply(f), law.coarse.apply(g)
+        return law.mv(f), law.coarse.mv(f), law.coarse.mv(g)
 
     uniform = np.tile([1.0, -0.5, 0.3], scene.rod.topology.n_nodes)
     noise = 0.3 * rng.standard_normal((2, uniform.size))
@@ -162,7 +162,7 @@ def test_the_far_field_does_not_lose_digits_far_from_the_origin(large, rng):
 
     @jax.jit
     def velocity(x: jax.Array, f: jax.Array) -> jax.Array:
-        return block_mobility(drag, x).apply(f)
+        return block_mobility(drag, x).mv(f)
 
     f = rng.standard_normal(3 * scene.rod.topology.n_nodes)
     here, there = velocity(x, f), velocity(x + 1e3, f)

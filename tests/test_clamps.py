@@ -55,7 +55,7 @@ def hanging(file: SceneFile) -> tuple[Rod, State]:
     state = scene.start
     terms = tuple(t for t in scene.terms if isinstance(t, Bend | Stretch | Twist | Gravity))
     assert len(terms) == 4
-    return scene.rod, settled(scene.rod, state, terms, scene.rod.topology.clamped)
+    return scene.rod, settled(scene.rod, state, terms, scene.rod.topology.fixed_dofs)
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from derjax.core.pytree import replace
 from derjax.core.status import Status
 from derjax.integrate.schemes.euler import euler
 from derjax.solve.newton import NewtonSettings
-from derjax.solve.potential import Pairs, gather
+from derjax.solve.potential import Pairs, assemble
 from derjax.terms import Gravity, Inertia, Term
 from derjax.terms.contact.neighbours import Neighbours, pairs_apart, search
 from derjax.terms.contact.repulsion import (
@@ -321,7 +321,7 @@ def test_list_holds_all_pairs_that_are_near(rng, speed):
     assert max(counts) > 5
 
 
-fault = jax.jit(lambda found, q: found.fault(q))
+fault = jax.jit(lambda found, q: found.status(q))
 
 
 def test_list_that_is_too_short_is_a_fault(rng):
@@ -373,7 +373,7 @@ def test_search_allows_for_the_speed():
         assert np.all(unlisted > DIAMETER)
 
 
-reach = jax.jit(lambda found, q, direction: found.reach(q, direction))
+reach = jax.jit(lambda found, q, direction: found.max_step(q, direction))
 
 
 def test_no_pair_can_get_through_within_reach(rng):
@@ -487,7 +487,11 @@ def sliding_energy(shifts: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
 
     def at(shift):
         q = state.q + shift * along
-        return pairs.value(q), pairs.gradient(q) @ along, along @ gather([pairs]).hessian(q) @ along
+        return (
+            pairs.value(q),
+            pairs.gradient(q) @ along,
+            along @ assemble([pairs]).hessian(q) @ along,
+        )
 
     return jax.vmap(at)(shifts)
 

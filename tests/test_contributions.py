@@ -65,7 +65,7 @@ class Matrix:
     def matrix(self) -> jax.Array:
         return self.a
 
-    def apply(self, displacement: jax.Array) -> jax.Array:
+    def mv(self, displacement: jax.Array) -> jax.Array:
         return self.a @ displacement
 
 

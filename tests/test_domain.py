@@ -233,6 +233,6 @@ def test_derivatives_of_a_mobility_in_blocks_by_the_height_of_the_wall(rng):
     def velocity(p: Array) -> Array:
         changed = beside(scene, SlipWall(-0.015 * p[1]), in_blocks=True)
         (drag,) = (term for term in changed.terms if isinstance(term, BlockStokeslets))
-        return block_mobility(drag, p[0] * x).apply(force)
+        return block_mobility(drag, p[0] * x).mv(force)
 
     check_derivatives(velocity, step=1e-2, error=1e-6)

@@ -343,7 +343,7 @@ THICK, EA, LOAD = 0.02, 1e4, 1.0
 step = jax.jit(advance)
 
 
-def around(n_bars: int, radius: float, sides: int, corner: float) -> np.ndarray:
+def rotated_about_x(n_bars: int, radius: float, sides: int, corner: float) -> np.ndarray:
     """Nodes of bars on a circle, and of a rod that runs round them in a polygon.
 
     Args:
@@ -433,7 +433,7 @@ BACK_AND_FORTH = 1e-3 * np.repeat([-1.0, 1.0], 10)
 def test_capstan(mu, n_bars):
     """A thin rod around a drum of bars, through a quarter or half of a turn: exp(mu phi)."""
     phi = (n_bars - 1) * np.pi / 24
-    found = pulled(around(n_bars, 1.0, n_bars, np.pi / 24), mu, 1e-4, BACK_AND_FORTH)
+    found = pulled(rotated_about_x(n_bars, 1.0, n_bars, np.pi / 24), mu, 1e-4, BACK_AND_FORTH)
     tension = found["tension"]
     assert found["wrapped"] == pytest.approx(phi, rel=0.02)
     assert tension[0] == pytest.approx(LOAD, rel=1e-3)
@@ -446,7 +446,7 @@ def test_rod_around_a_rod():
     So its torque about the fixed rod is that of mu N at the radius of that rod.
     """
     mu = 0.4
-    found = pulled(around(1, 0.0, 15, 0.2), mu, 1e-4, np.full(20, 2e-4))
+    found = pulled(rotated_about_x(1, 0.0, 15, 0.2), mu, 1e-4, np.full(20, 2e-4))
     assert found["tension"][-1] > 1.5 * LOAD
     expected = mu * found["push"][8:] * THICK / 2
     assert np.all(np.abs(found["torque"][8:] / expected - 1) < 0.02)

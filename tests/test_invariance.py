@@ -12,7 +12,7 @@ from derjax import State, Topology, angles, chain, positions
 from derjax.core.pytree import replace
 from derjax.rods.kinematics import tangents
 from derjax.shapes import helix, helix_contour, single_flagellum
-from derjax.solve.potential import gather
+from derjax.solve.potential import assemble
 from derjax.terms import (
     ExplicitDrag,
     Gravity,
@@ -217,7 +217,7 @@ def test_drag_is_a_symmetric_matrix_that_only_dissipates(name):
     """On the degrees of freedom it acts on; also for a rod that is anything but straight."""
     state, _ = deformed(1)
     contribution = jax.jit(share)(TERMS[name], ROD, state, 0.1)
-    matrix = np.asarray(jax.jit(lambda part, q: gather([part]).hessian(q))(contribution, state.q))
+    matrix = np.asarray(jax.jit(lambda part, q: assemble([part]).hessian(q))(contribution, state.q))
     np.testing.assert_allclose(matrix, matrix.T, atol=1e-13 * np.abs(matrix).max())
     acted_on = np.unique(contribution.dofs.array)
     smallest = np.linalg.eigvalsh(matrix[acted_on][:, acted_on])[0]

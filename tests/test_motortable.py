@@ -60,10 +60,10 @@ def test_counts_become_rates_that_keep_the_angle(scene):
     table = scene(COUNTS + MS).motor_table
     motor = Rates(jnp.array(table.time), jnp.array(table.rpm)[:, None] * jnp.pi / 30)
     samples = jnp.arange(11) / 10
-    turned = jax.vmap(motor.turned, (None, 0))(jnp.zeros(()), samples)[:, 0]
+    turned = jax.vmap(motor.rotation, (None, 0))(jnp.zeros(()), samples)[:, 0]
     expected = 2 * np.pi * -30.0 * np.arange(11) ** 2 / 1200
     np.testing.assert_allclose(turned, expected, rtol=1e-12, atol=1e-12)
-    halves = jax.vmap(motor.turned)(samples[:-1], samples[:-1] + 0.05)[:, 0]
+    halves = jax.vmap(motor.rotation)(samples[:-1], samples[:-1] + 0.05)[:, 0]
     np.testing.assert_allclose(halves, np.diff(expected) / 2, rtol=1e-9)
 
 

@@ -8,7 +8,7 @@ import pytest
 from derjax.core.pytree import Indices
 from derjax.core.status import Status
 from derjax.solve.newton import NewtonSettings, equilibrium
-from derjax.solve.potential import Autodiff, Elements, gather
+from derjax.solve.potential import Autodiff, Elements, assemble
 
 PAIR = Indices(np.array([[0, 1]]))
 
@@ -25,7 +25,7 @@ def found(
 ) -> tuple[jax.Array, jax.Array]:
     """Where the equilibrium is, and its status and iterations."""
     data = jnp.array([[tilt, size]])
-    potential = gather([Elements(PAIR, Autodiff(double_well), data)])
+    potential = assemble([Elements(PAIR, Autodiff(double_well), data)])
     settings = NewtonSettings(jnp.asarray(1e-10), jnp.array([1.0, 1.0 / size]))
     q, info = equilibrium(potential, guess * jnp.array([1.0, size]), settings, None)
     return q, jnp.stack([info.status, info.iterations])

@@ -24,12 +24,12 @@ from derjax.rods.rod import no_history
 from derjax.shapes import (
     RobotGeometry,
     arc,
-    around,
     branched,
     clamped,
     edge_count,
     helix,
     helix_contour,
+    rotated_about_x,
     single_flagellum,
     two_flagella,
 )
@@ -43,7 +43,7 @@ CHORD = float(np.linalg.norm(np.diff(helix(RADIUS, PITCH, LENGTH, N, "left"), ax
 
 
 def coil(handedness: str = "left", phase: float = 0.0):
-    return around(phase, helix(RADIUS, PITCH, LENGTH, N, handedness))
+    return rotated_about_x(phase, helix(RADIUS, PITCH, LENGTH, N, handedness))
 
 
 def make(kind: str, filaments: list) -> RobotGeometry:
@@ -307,7 +307,7 @@ def test_motors_drive_the_shafts_against_the_links(kind, count):
     """Where the filament begins, and all of them in the same sense: with the right hand about x."""
     body = body_of(kind, count)
     topology, nodes = body.topology, np.asarray(body.nodes)
-    assert topology.driven_edges == topology.clamped == ()
+    assert topology.driven_edges == topology.fixed_dofs == ()
     assert len(topology.motors) == count
     for motor, path in zip(topology.motors, topology.filaments, strict=True):
         first, second = topology.hinges[motor]
@@ -335,8 +335,8 @@ def test_spindles_are_the_clamped_shafts(count):
         assert topology.edges[spindle] == path[:2]
         held |= {3 * node + axis for node in path[:2] for axis in range(3)}
         held.add(3 * topology.n_nodes + spindle)
-    assert set(topology.clamped) == held
-    assert len(topology.clamped) == 7 * count
+    assert set(topology.fixed_dofs) == held
+    assert len(topology.fixed_dofs) == 7 * count
 
 
 @with_head
@@ -478,7 +478,7 @@ def test_scenes_are_made_of_the_robots_of_their_files(built, name):
     for k, (path, hand, phase) in enumerate(zip(paths, robot.hands, robot.phases, strict=True)):
         azimuth = 2 * np.pi * k / robot.count + (np.pi if robot.kind == "two_flagella" else 0)
         x = nodes[list(path)] - nodes[path[0]]
-        x = np.asarray(around(-azimuth - phase, x))
+        x = np.asarray(rotated_about_x(-azimuth - phase, x))
         if robot.shape == "helix":
             n = len(path) - 3
             edge = helix_contour(robot.helix_radius, robot.pitch, robot.axial_length) / n
@@ -604,7 +604,7 @@ def test_a_table_with_a_column_for_every_motor(tmp_path):
     np.testing.assert_array_equal(file.parameters["rpm"], [[0.0, 5.0], [60.0, 5.0]])
     scene = build(file)
     assert scene.motor is not None
-    turned = scene.motor.turned(jnp.asarray(0.0), jnp.asarray(2.0))
+    turned = scene.motor.rotation(jnp.asarray(0.0), jnp.asarray(2.0))
     np.testing.assert_allclose(turned, 2 * np.pi / 60 * np.array([60.0, 10.0]), rtol=1e-12)
 
 
@@ -613,7 +613,7 @@ def test_a_table_with_one_column_for_all_motors(tmp_path):
     (tmp_path / "motor.csv").write_text("time, rpm\n0, 0\n2, 60\n")
     scene = build(load_scene(tmp_path / "robot.toml"))
     assert scene.motor is not None
-    turned = scene.motor.turned(jnp.asarray(0.5), jnp.asarray(1.5))
+    turned = scene.motor.rotation(jnp.asarray(0.5), jnp.asarray(1.5))
     np.testing.assert_allclose(turned, 2 * np.pi / 60 * np.array([30.0, 30.0]), rtol=1e-12)
 
 

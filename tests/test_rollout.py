@@ -28,7 +28,7 @@ def falling_rod(pull: jax.Array | float = 1.0) -> tuple[derjax.Scene, derjax.Sta
         Gravity(jnp.array([1e-3, 2e-3, 4e-3]) * pull, jnp.array([0.5, 0.0, -1.0])),
     )
     # Nothing resists the angles of this rod: hold them.
-    rod = replace(rod, topology=replace(topology, clamped=(9, 10)))
+    rod = replace(rod, topology=replace(topology, fixed_dofs=(9, 10)))
     settings = NewtonSettings(jnp.array(1e-10), jnp.full(topology.n_dofs, 1e-3))
     return derjax.Scene(rod, terms, None, settings, jnp.array(0.01), euler), state
 

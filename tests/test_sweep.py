@@ -160,7 +160,7 @@ def test_chunks_of_one_program_are_compiled_once(directory, monkeypatch):
         return march_frames(*arguments)
 
     def counted_compute(chunk: Chunk, on_progress: Any) -> list[points.Outcome]:
-        chunks.append((len(chunk.files), chunk.places))
+        chunks.append((len(chunk.files), chunk.slots))
         return compute(chunk, on_progress)
 
     monkeypatch.setattr(batch, "march_frames", traced_march)

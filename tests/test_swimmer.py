@@ -85,7 +85,7 @@ def torque_on_head(moment: Moment) -> float:
     """Torque (N m) along its axis with which the rest of the robot turns the head."""
     terms = tuple(t for t in moment.scene.terms if isinstance(t, Bend | Twist))
     scene, state, h = moment.scene, moment.state, moment.scene.step_length
-    turned = state.motor_angle + scene.motor.turned(state.time, state.time + h)
+    turned = state.motor_angle + scene.motor.rotation(state.time, state.time + h)
     driven = replace(state, motor_angle=turned)
     return -float(angles(scene.rod.topology, gradient_of(scene.rod, driven, terms, h, moment.q))[0])
 

@@ -49,7 +49,7 @@ def replace(tree: T, **changes: Any) -> T:
     return dataclasses.replace(tree, **changes)  # pyright: ignore[reportArgumentType]
 
 
-def push(function: Callable[..., T], primals: tuple, tangents: tuple) -> tuple[T, T]:
+def jvp_nonzero(function: Callable[..., T], primals: tuple, tangents: tuple) -> tuple[T, T]:
     """`jax.jvp` for tangents some of whose leaves are known to be zero (`SymbolicZero`).
 
     Nothing is computed for those: multiplying by zeros is work that XLA does not leave out.

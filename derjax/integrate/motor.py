@@ -20,7 +20,7 @@ class Motor:
     time: Float[Array, " p"]
     rate: Float[Array, "p k"]
 
-    def turned(self, start: Array, end: Array) -> Float[Array, " k"]:
+    def rotation(self, start: Array, end: Array) -> Float[Array, " k"]:
         """Angle (rad) turned between two times (s), exactly for the piecewise linear rate."""
         if self.time.shape[0] == 1:
             return self.rate[0] * (end - start)

@@ -28,7 +28,7 @@ from ..rods.kinematics import positions, tangents
 from ..rods.rod import Rod, State, transport_frames
 from ..solve.blocks import Layout
 from ..solve.newton import NewtonInfo, NewtonSettings, equilibrium
-from ..solve.potential import Dofs, Mobility, Potential, gather
+from ..solve.potential import Dofs, Mobility, Potential, assemble
 from ..solve.saddle import SaddlePointSystem, no_drag
 from ..terms.term import Prediction, Stage, Term, contributions
 from .motor import Motor
@@ -225,11 +225,11 @@ def fluid_velocity(scene: Scene, q: Dofs, time: Array) -> Dofs | None:
     return jnp.concatenate([jax.vmap(flow)(nodes).ravel(), spin])
 
 
-def turned(scene: Scene, state: State, length: Array) -> Float[Array, " k"]:
+def motor_rotation(scene: Scene, state: State, length: Array) -> Float[Array, " k"]:
     """Angle (rad) that the motors turn in the next `length` (s)."""
     if scene.motor is None:
         return jnp.zeros_like(state.motor_angle)
-    return scene.motor.turned(state.time, state.time + length)
+    return scene.motor.rotation(state.time, state.time + length)
 
 
 def solve(
@@ -259,16 +259,16 @@ def solve(
     topology = scene.rod.topology
     parts = contributions(scene.terms, scene.rod, state, stage, prediction)
     mobilities = [c for c in parts if isinstance(c, Mobility)]
-    potential = gather([c for c in parts if not isinstance(c, Mobility)])
+    potential = assemble([c for c in parts if not isinstance(c, Mobility)])
     if potential.guards:
-        move = potential.reach(state.q, move) * move
+        move = potential.max_step(state.q, move) * move
     guess = state.q + move
     if topology.driven_edges:
         dofs = topology.edge_dofs(topology.driven_edges)
         guess = guess.at[dofs].set(state.q[dofs] + turn, unique_indices=True)
     free = None
-    if topology.clamped:
-        free = tuple(np.setdiff1d(np.arange(topology.n_dofs), topology.clamped).tolist())
+    if topology.fixed_dofs:
+        free = tuple(np.setdiff1d(np.arange(topology.n_dofs), topology.fixed_dofs).tolist())
     if scene.layout is None:
         _check_no_mobility(mobilities)
         q, info = equilibrium(potential, guess, scene.newton, free)
@@ -276,7 +276,7 @@ def solve(
         drag = _only_mobility(scene.layout, mobilities)
         q, info = _in_blocks(scene, scene.layout, potential, drag, guess)
     if potential.guards:
-        fault, before = (potential.fault(lax.stop_gradient(x)) for x in (q, state.q))
+        fault, before = (potential.status(lax.stop_gradient(x)) for x in (q, state.q))
         status = jnp.where(info.status == Status.OK, fault, info.status)
         overlap = (status != Status.OK) & (before == Status.PENETRATION)
         status = jnp.where(overlap, Status.OVERLAP, status).astype(jnp.int32)
@@ -320,7 +320,7 @@ def _in_blocks(
     if layout.topology != topology:
         raise ValueError("scene.layout is that of another robot: it must have scene.rod.topology")
     free = np.ones(topology.n_dofs)
-    free[list(topology.clamped)] = 0.0
+    free[list(topology.fixed_dofs)] = 0.0
     scale = lax.stop_gradient(scene.newton.force_scale)
     saddle = SaddlePointSystem(potential, drag, layout, guess, jnp.asarray(free), scale)
     dry = jnp.broadcast_to(jnp.asarray(scene.newton.size), guess.shape)

@@ -143,7 +143,7 @@ def _motor(scene: Scene, states: State) -> dict[str, tuple[Any, ...]]:
 
 @jax.jit
 def _motion_of_motor(motor: Motor, time: Array) -> tuple[Array, Array]:
-    angle = jax.vmap(motor.turned, (None, 0))(jnp.zeros(()), time)
+    angle = jax.vmap(motor.rotation, (None, 0))(jnp.zeros(()), time)
     return angle, motor.rate_at(time)
 
 

@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..integrate.step import Scene, fluid_velocity, turned
+from ..integrate.step import Scene, fluid_velocity, motor_rotation
 from ..rods.kinematics import positions, tangents
 from ..rods.rod import State
 from ..rods.vectors import cross
-from ..solve.potential import Contribution, Dofs, Mobility, Potential, gather
+from ..solve.potential import Contribution, Dofs, Mobility, Potential, assemble
 from ..solve.saddle import drag_forces
 from ..terms.term import Role, Stage, Term, contributions, standing
 
@@ -57,7 +57,7 @@ def potential(scene: Scene, state: State, length: float | Array) -> Potential:
         ValueError: the drag of a robot in blocks, which has no potential in these unknowns.
     """
     length = jnp.asarray(length, float)
-    angle = state.motor_angle + turned(scene, state, length)
+    angle = state.motor_angle + motor_rotation(scene, state, length)
     parts = _parts(scene, scene.terms, state, Stage(length, state.time + length, angle))
     found = [part for part in parts if isinstance(part, Contribution)]
     if len(found) < len(parts):
@@ -65,7 +65,7 @@ def potential(scene: Scene, state: State, length: float | Array) -> Potential:
             "the drag of a robot in blocks is known by what forces do, and has no potential; "
             "build the scene with [solver] method = 'dense'"
         )
-    return gather(found)
+    return assemble(found)
 
 
 def resistance(

@@ -71,7 +71,7 @@ class Rod:
         free = chain(n_nodes, filaments=(tuple(range(n_nodes)),))
         held = [d for e in ends[fixed] for d in (*free.node_dofs([e, e + 1]).ravel(),)]
         held += [d for e in ends[fixed] for d in free.edge_dofs([e])]
-        topology = replace(free, clamped=tuple(sorted({int(d) for d in held})))
+        topology = replace(free, fixed_dofs=tuple(sorted({int(d) for d in held})))
         x = jnp.asarray(length, float) * np.linspace(0.0, 1.0, n_nodes)
         nodes = jnp.stack([x, jnp.zeros(n_nodes), jnp.zeros(n_nodes)], axis=1)
         rod, _ = at_rest(topology, nodes)

@@ -50,7 +50,7 @@ class Topology:
             "published": with the motor as a natural twist, and the curvature on the average of
             directors across it, whose stiffness is EI cos^2(angle / 2): limp once in every turn.
         driven_edges: the clamped edges whose angle is driven; a rod has one or the other.
-        clamped: degrees of freedom held fixed.
+        fixed_dofs: degrees of freedom held fixed.
     """
 
     n_nodes: int = static()
@@ -61,7 +61,7 @@ class Topology:
     motors: tuple[int, ...] = static(default=())
     motor_hinge: str = static(default="rigid")
     driven_edges: tuple[int, ...] = static(default=())
-    clamped: tuple[int, ...] = static(default=())
+    fixed_dofs: tuple[int, ...] = static(default=())
 
     @property
     def n_edges(self) -> int:
@@ -94,7 +94,7 @@ class Topology:
     @cached_property
     def held_edges(self) -> np.ndarray:
         """(e,): which edges have both their nodes held in place."""
-        return np.all(np.isin(self.edge_stencil.array, self.clamped), axis=1)
+        return np.all(np.isin(self.edge_stencil.array, self.fixed_dofs), axis=1)
 
     @cached_property
     def _hinge_layout(self) -> tuple[np.ndarray, np.ndarray]:

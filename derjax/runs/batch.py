@@ -11,8 +11,8 @@ that fails stays where it is, and the others are what they would be alone.
 The runs are laid out over a mesh of devices (`spread`) and go on together (`advance`); each device
 takes its own runs at its own pace, and devices wait for each other only at the end. With
 `jax.distributed` the mesh goes over all processes: each calls the same functions with the same
-numbers and gets back either its own runs (`mine`) or, by communication, those of all
-(`everyone`).
+numbers and gets back either its own runs (`local_runs`) or, by communication, those of all
+(`all_runs`).
 
 How a device takes its runs depends on what it is. A GPU takes them all at once, as lanes of one
 `jax.vmap`. A CPU takes them one after another. Lanes would share what starting an operation
@@ -60,10 +60,10 @@ class Batch:
     """Runs that are laid out over devices.
 
     Attributes:
-        scenes: what is simulated, with a leading axis of places.
+        scenes: what is simulated, with a leading axis of slots.
         states: where the runs are.
         reports: how they went.
-        places: (p,) number of the run at each place; -1 at places that are there only to have
+        slots: (p,) number of the run in each slot; -1 at slots that are there only to have
             as many on every device.
         mesh: the devices, in one row.
     """
@@ -71,7 +71,7 @@ class Batch:
     scenes: Scene
     states: State
     reports: RolloutStats
-    places: Int[np.ndarray, " p"]
+    slots: Int[np.ndarray, " p"]
     mesh: Mesh
 
 
@@ -133,12 +133,12 @@ def pick(tree: T, chosen: Any) -> T:
     return jax.tree.map(lambda leaf: leaf[chosen], tree)
 
 
-def spread(
+def shard(
     scenes: Scene,
     states: State,
     reports: RolloutStats | None = None,
     devices: Sequence[Any] | None = None,
-    places: int | None = None,
+    slots: int | None = None,
 ) -> Batch:
     """Lays out b runs over devices.
 
@@ -147,14 +147,14 @@ def spread(
         states: where the runs start, with a leading axis b.
         reports: of the runs that these continue, with a leading axis b.
         devices: all of all processes if None.
-        places: at least so many: batches with equally many share a compiled program. Places
+        slots: at least so many: batches with equally many share a compiled program. Places
             that are left over do nothing.
     """
     devices = jax.devices() if devices is None else list(devices)
     mesh = Mesh(np.array(devices), (AXIS,))
     count = len(states.time)
     reports = repeat(new_stats(), count) if reports is None else reports
-    rows = -(-max(count, places or 0) // len(devices))
+    rows = -(-max(count, slots or 0) // len(devices))
     # Neighbours go to different devices, as those in a sweep take about equally long.
     run = np.arange(rows * len(devices)).reshape(rows, -1).T.ravel()
     spare = run >= count
@@ -178,7 +178,7 @@ def spread(
             replace(placed(reports), status=status.astype(np.int32)),
         ),
     )
-    return Batch(*laid, places=np.where(spare, -1, run), mesh=mesh)
+    return Batch(*laid, slots=np.where(spare, -1, run), mesh=mesh)
 
 
 def advance(
@@ -195,7 +195,7 @@ def advance(
 
     Returns:
         The batch at the end, and the states at the ends of the frames, with leading axes of
-        places and frames: `mine` and `everyone` sort them by the runs' numbers.
+        slots and frames: `local_runs` and `all_runs` sort them by the runs' numbers.
     """
     if lanes is None:
         lanes = 1 if batch.mesh.devices.flat[0].platform == "cpu" else ALL
@@ -230,12 +230,12 @@ def _advance(
     return whole(scenes, states, reports)
 
 
-def mine(batch: Batch, tree: T) -> tuple[Int[np.ndarray, " k"], T]:
+def local_runs(batch: Batch, tree: T) -> tuple[Int[np.ndarray, " k"], T]:
     """The runs of this process: their numbers, and what belongs to them, on the host.
 
     Args:
         batch: what `tree` belongs to.
-        tree: arrays with a leading axis of places, such as the reports of the batch.
+        tree: arrays with a leading axis of slots, such as the reports of the batch.
     """
 
     def rows(leaf: jax.Array) -> np.ndarray:
@@ -243,23 +243,23 @@ def mine(batch: Batch, tree: T) -> tuple[Int[np.ndarray, " k"], T]:
         return np.concatenate([np.asarray(shards[start]) for start in sorted(shards)])
 
     whole = NamedSharding(batch.mesh, PartitionSpec(AXIS))
-    indices = whole.addressable_devices_indices_map(batch.places.shape).values()
+    indices = whole.addressable_devices_indices_map(batch.slots.shape).values()
     slices = sorted((i[0] for i in indices if i), key=lambda part: part.start or 0)
-    places = np.concatenate([batch.places[part] for part in slices])
-    return _sorted(places, jax.tree.map(rows, tree))
+    slots = np.concatenate([batch.slots[part] for part in slices])
+    return _sorted(slots, jax.tree.map(rows, tree))
 
 
-def everyone(batch: Batch, tree: T) -> T:
+def all_runs(batch: Batch, tree: T) -> T:
     """What belongs to all runs, on the host of every process, with a leading axis b."""
     if jax.process_count() == 1:
-        return mine(batch, tree)[1]
-    return _sorted(batch.places, multihost_utils.process_allgather(tree, tiled=True))[1]
+        return local_runs(batch, tree)[1]
+    return _sorted(batch.slots, multihost_utils.process_allgather(tree, tiled=True))[1]
 
 
-def _sorted(places: np.ndarray, tree: T) -> tuple[np.ndarray, T]:
-    """By the numbers of the runs, without the places that do nothing."""
-    order = np.argsort(places, kind="stable")[np.count_nonzero(places < 0) :]
-    return places[order], jax.tree.map(lambda leaf: np.asarray(leaf)[order], tree)
+def _sorted(slots: np.ndarray, tree: T) -> tuple[np.ndarray, T]:
+    """By the numbers of the runs, without the slots that do nothing."""
+    order = np.argsort(slots, kind="stable")[np.count_nonzero(slots < 0) :]
+    return slots[order], jax.tree.map(lambda leaf: np.asarray(leaf)[order], tree)
 
 
 def march_many(
@@ -276,6 +276,6 @@ def march_many(
     Arguments as of `spread` and `advance`. The results are on the host, those of all runs
     in every process.
     """
-    batch = spread(scenes, states, reports, devices)
+    batch = shard(scenes, states, reports, devices)
     batch, frames = advance(batch, n_frames, steps_per_frame, lanes)
-    return everyone(batch, (frames, batch.reports))
+    return all_runs(batch, (frames, batch.reports))

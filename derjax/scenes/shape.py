@@ -15,12 +15,12 @@ from ..core.pytree import Indices, replace
 from ..shapes import (
     RobotGeometry,
     arc,
-    around,
     branched,
     clamped,
     edge_count,
     helix,
     helix_contour,
+    rotated_about_x,
     single_flagellum,
     two_flagella,
 )
@@ -80,7 +80,7 @@ def _filaments(scene: SceneFile, p: Mapping[str, Array]) -> tuple[list[Array], A
             n_edges = max(3, math.floor(own_length / robot.edge_length + 1e-9))
             edges.append(length / n_edges)
             nodes = arc(length, p.get("bend", jnp.zeros(())), n_edges)
-        filaments.append(around(phase, nodes) if phase else nodes)
+        filaments.append(rotated_about_x(phase, nodes) if phase else nodes)
     alike = all(np.ndim(p.get(name, 0.0)) == 0 for name in EACH)
     return filaments, edges[0] if alike else sum(edges[1:], edges[0]) / len(edges)
 

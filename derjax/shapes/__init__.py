@@ -7,7 +7,7 @@ shape; the number of nodes is fixed beforehand, on the host.
 """
 
 from .body import RobotGeometry as RobotGeometry
-from .body import around as around
+from .body import rotated_about_x as rotated_about_x
 from .branched import branched as branched
 from .clamped import clamped as clamped
 from .filament import arc as arc

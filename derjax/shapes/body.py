@@ -25,7 +25,7 @@ class RobotGeometry(NamedTuple):
     stiff_hinges: tuple[int, ...] = ()
 
 
-def around(azimuth: float, nodes: Nodes) -> Nodes:
+def rotated_about_x(azimuth: float, nodes: Nodes) -> Nodes:
     """`nodes` turned about the x axis by an angle (rad)."""
     c, s = np.cos(azimuth), np.sin(azimuth)
     return nodes @ np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]])

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ..rods.topology import Head, Topology
-from .body import Nodes, RobotGeometry, around, distance_from_axis, on_shaft
+from .body import Nodes, RobotGeometry, distance_from_axis, on_shaft, rotated_about_x
 
 
 def branched(filaments: Sequence[Nodes], edge: Array, separation: Array) -> RobotGeometry:
@@ -30,7 +30,9 @@ def branched(filaments: Sequence[Nodes], edge: Array, separation: Array) -> Robo
     size = 2
     for k, filament in enumerate(filaments):
         branch = on_shaft(filament, edge, backwards=arms)
-        branch = around(2.0 * np.pi * k / n_flagella, branch + radius * jnp.array([0.0, 1.0, 0.0]))
+        branch = rotated_about_x(
+            2.0 * np.pi * k / n_flagella, branch + radius * jnp.array([0.0, 1.0, 0.0])
+        )
         first_edge, first_hinge = len(edges), len(hinges)
         path = [1, *range(size, size + len(branch))]
         edges += pairwise(path)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ..rods.topology import Topology
-from .body import Nodes, RobotGeometry, around, distance_from_axis, on_shaft
+from .body import Nodes, RobotGeometry, distance_from_axis, on_shaft, rotated_about_x
 
 
 def clamped(
@@ -30,7 +30,9 @@ def clamped(
         if tips:
             branch = jnp.concatenate([branch, 2.0 * branch[-1:] - branch[-2:-1]])
         nodes.append(
-            around(2.0 * np.pi * k / n_flagella, branch + radius * jnp.array([0.0, 1.0, 0.0]))
+            rotated_about_x(
+                2.0 * np.pi * k / n_flagella, branch + radius * jnp.array([0.0, 1.0, 0.0])
+            )
         )
         first = len(edges)
         path = range(size, size + len(branch))
@@ -48,6 +50,6 @@ def clamped(
         hinges=tuple(hinges),
         filaments=tuple(paths),
         driven_edges=tuple(driven_edges),
-        clamped=(*positions, *(3 * size + edge for edge in ends)),
+        fixed_dofs=(*positions, *(3 * size + edge for edge in ends)),
     )
     return RobotGeometry(jnp.concatenate(nodes), topology)

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ..rods.topology import Head, chain
-from .body import Nodes, RobotGeometry, around, on_shaft
+from .body import Nodes, RobotGeometry, on_shaft, rotated_about_x
 
 
 def two_flagella(filaments: tuple[Nodes, Nodes], edge: Array, separation: Array) -> RobotGeometry:
@@ -17,7 +17,7 @@ def two_flagella(filaments: tuple[Nodes, Nodes], edge: Array, separation: Array)
     """
     first, second = (on_shaft(filament, edge, backwards=1) for filament in filaments)
     offset = jnp.array([0.0, 0.5, 0.0]) * separation
-    first = around(np.pi, first + offset)
+    first = rotated_about_x(np.pi, first + offset)
     second = second + offset
     middle = jnp.stack([-edge, 0.0 * edge, 0.0 * edge])[None]
     nodes = jnp.concatenate([first[::-1], middle, second])

@@ -20,7 +20,7 @@ from jax.ad_checkpoint import checkpoint_name
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, Int
 
-from ..core.pytree import push, pytree, replace, static
+from ..core.pytree import jvp_nonzero, pytree, replace, static
 from ..core.status import Status
 from .dense import Factor
 from .potential import Dofs
@@ -135,7 +135,7 @@ class Equations(Protocol):
 
     def gradient(self, q: Dofs) -> Dofs: ...
 
-    def reach(self, q: Dofs, direction: Dofs) -> Array: ...
+    def max_step(self, q: Dofs, direction: Dofs) -> Array: ...
 
     def linearise(
         self, q: Dofs, sizes: Dofs, unit: Dofs, free: tuple[int, ...] | None, exact: bool
@@ -204,7 +204,7 @@ def equilibrium(
         direction = along(matrix, now.point.gradient)
         length = now.part
         if potential.guards:
-            length = length * potential.reach(now.point.q, direction)
+            length = length * potential.max_step(now.point.q, direction)
         q = now.point.q + length * direction
         if symmetric:
             value, gradient = potential.value_and_gradient(q)
@@ -288,11 +288,13 @@ def _equilibrium_jvp(free, primals, tangents):
     # Clamped degrees of freedom follow the guess; the others follow from F = 0.
     clamped = jnp.zeros_like(q)
     if free is None:
-        _, d_gradient = push(lambda p: p.gradient(q), (potential,), (d_potential,))
+        _, d_gradient = jvp_nonzero(lambda p: p.gradient(q), (potential,), (d_potential,))
     else:
         if not isinstance(d_guess, SymbolicZero):
             clamped = _insert(d_guess, 0.0, free)
-        _, d_gradient = push(lambda p, y: p.gradient(y), (potential, q), (d_potential, clamped))
+        _, d_gradient = jvp_nonzero(
+            lambda p, y: p.gradient(y), (potential, q), (d_potential, clamped)
+        )
     still, here, unit = lax.stop_gradient((potential, q, settings.force_scale))
     solver, _ = still.linearise(here, jnp.abs(here), unit, free, exact=True)
 

@@ -46,7 +46,7 @@ class ElementPotential(LocalPotential, Protocol):
     """One that can be added up with others of its kind before it is differentiated."""
 
     @classmethod
-    def together(cls, parts: Sequence[tuple[Any, Any]]) -> tuple["ElementPotential", Any]:
+    def merge(cls, parts: Sequence[tuple[Any, Any]]) -> tuple["ElementPotential", Any]:
         """One potential, and its data, for the sum of several (potential, data)."""
         ...
 
@@ -75,7 +75,7 @@ class Autodiff:
         return jax.hessian(self.function)(local, data)
 
     @classmethod
-    def together(cls, parts: Sequence[tuple["Autodiff", Any]]) -> tuple["Autodiff", Any]:
+    def merge(cls, parts: Sequence[tuple["Autodiff", Any]]) -> tuple["Autodiff", Any]:
         return cls(Sum(p.function for p, _ in parts)), tuple(data for _, data in parts)
 
 
@@ -98,7 +98,7 @@ class QuadraticForm:
         return data[1]
 
     @classmethod
-    def together(cls, parts: Sequence[tuple["QuadraticForm", Any]]) -> tuple["QuadraticForm", Any]:
+    def merge(cls, parts: Sequence[tuple["QuadraticForm", Any]]) -> tuple["QuadraticForm", Any]:
         """Every drag of a stage is measured from the same origin."""
         origin = parts[0][1][0]
         return cls(), (origin, jnp.asarray(sum(a for _, (_, a) in parts)))
@@ -116,11 +116,11 @@ LocalHessians = tuple[tuple[Any, Float[Array, "b k k"]], ...]
 class Guard(Protocol):
     """What must hold all the way from the start of a step to its end."""
 
-    def reach(self, q: Dofs, direction: Dofs) -> Array:
+    def max_step(self, q: Dofs, direction: Dofs) -> Array:
         """The part, at most 1, of the way along `direction` that may be gone in one go."""
         ...
 
-    def fault(self, q: Dofs) -> Array:
+    def status(self, q: Dofs) -> Array:
         """What is wrong with a step that ends at `q`: `Status.OK` if nothing is."""
         ...
 
@@ -219,27 +219,27 @@ class Elements(Contribution):
     @classmethod
     def joined(cls, parts: Sequence["Elements"]) -> "Elements":
         first = parts[0]
-        together = type(first.potential).together([(e.potential, e.data) for e in parts])
+        together = type(first.potential).merge([(e.potential, e.data) for e in parts])
         return cls(first.dofs, *together)
 
 
 @pytree
 class Pairs(Contribution):
-    """`sum_b potential(q[dofs[b]], data[b])` over those b that are `taken`.
+    """`sum_b potential(q[dofs[b]], data[b])` over those b in the `mask`.
 
     Like `Elements`, but what interacts is a result of the computation: a list of fixed length,
-    not all of whose places are taken. Nothing is computed while none is.
+    not all of whose places are in use. Nothing is computed while none is.
 
     Attributes:
         dofs: (b, k) degrees of freedom that each element sees.
-        taken: (b,) which places of the list are in use.
+        mask: (b,) which places of the list are in use.
         potential: `(local (k,), data) -> scalar` in J, with its derivatives.
         data: pytree of arrays with leading axis b.
         guard: what the solver must not violate on its way; None if there is nothing.
     """
 
     dofs: Int[Array, "b k"]
-    taken: Bool[Array, " b"]
+    mask: Bool[Array, " b"]
     potential: LocalPotential = static()
     data: Any
     guard: Guard | None = None
@@ -247,15 +247,15 @@ class Pairs(Contribution):
     scattered: ClassVar[bool] = True
 
     def _each(self, q: Dofs, function: Callable[[Array, Any], T]) -> T:
-        """(b, ...) the elements' `function`, zero in places that are not taken."""
+        """(b, ...) the elements' `function`, zero in places that are not in use."""
 
-        def only_taken(local: Array) -> Array:
-            return jnp.where(self.taken.reshape(-1, *([1] * (local.ndim - 1))), local, 0.0)
+        def only_used(local: Array) -> Array:
+            return jnp.where(self.mask.reshape(-1, *([1] * (local.ndim - 1))), local, 0.0)
 
-        return jax.tree.map(only_taken, jax.vmap(function)(q[self.dofs], self.data))
+        return jax.tree.map(only_used, jax.vmap(function)(q[self.dofs], self.data))
 
     def _if_any(self, compute: Callable[[], T], nothing: T) -> T:
-        return lax.cond(jnp.any(self.taken), compute, lambda: nothing)
+        return lax.cond(jnp.any(self.mask), compute, lambda: nothing)
 
     def value(self, q: Dofs) -> Array:
         return self._if_any(lambda: jnp.sum(self._each(q, self.potential)), jnp.zeros(()))
@@ -297,7 +297,7 @@ class Operator(Protocol):
         """The map as a matrix; its derivatives are never taken."""
         ...
 
-    def apply(self, displacement: Float[Array, " m"]) -> Float[Array, " m"]:
+    def mv(self, displacement: Float[Array, " m"]) -> Float[Array, " m"]:
         """The force for a displacement, differentiable in everything that it depends on."""
         ...
 
@@ -322,11 +322,11 @@ class Quadratic(Contribution):
 
     def value(self, q: Dofs) -> Array:
         local = (q - self.origin)[self.dofs.array]
-        return 0.5 * local @ self.operator.apply(local)
+        return 0.5 * local @ self.operator.mv(local)
 
     def gradient(self, q: Dofs) -> Dofs:
         local = (q - self.origin)[self.dofs.array]
-        return jnp.zeros_like(q).at[self.dofs.array].add(self.operator.apply(local))
+        return jnp.zeros_like(q).at[self.dofs.array].add(self.operator.mv(local))
 
     def local_hessians(self, q: Dofs) -> LocalHessians:
         """One element that sees all the degrees of freedom."""
@@ -402,7 +402,7 @@ class MobilityOperator(Protocol):
         """Nearly the same map, and quicker: good enough for Newton's directions."""
         ...
 
-    def apply(self, force: Float[Array, " m"]) -> Float[Array, " m"]:
+    def mv(self, force: Float[Array, " m"]) -> Float[Array, " m"]:
         """The velocities for forces, differentiable in everything that they depend on."""
         ...
 
@@ -452,15 +452,15 @@ class Potential:
         """The guards of all contributions."""
         return tuple(c.guard for c in self.contributions if c.guard is not None)
 
-    def reach(self, q: Dofs, direction: Dofs) -> Array:
+    def max_step(self, q: Dofs, direction: Dofs) -> Array:
         """The part, at most 1, of the way along `direction` that all guards allow."""
-        return jnp.min(jnp.stack([jnp.ones(()), *(g.reach(q, direction) for g in self.guards)]))
+        return jnp.min(jnp.stack([jnp.ones(()), *(g.max_step(q, direction) for g in self.guards)]))
 
-    def fault(self, q: Dofs) -> Array:
+    def status(self, q: Dofs) -> Array:
         """The first fault that a guard finds with a step that ends at `q`."""
         status = jnp.array(Status.OK, jnp.int32)
         for guard in self.guards:
-            status = jnp.where(status == Status.OK, guard.fault(q), status)
+            status = jnp.where(status == Status.OK, guard.status(q), status)
         return status
 
     def value(self, q: Dofs) -> Array:
@@ -512,7 +512,7 @@ class Potential:
         return factor(inner, self.symmetric, unit[chosen]), rounding
 
 
-def gather(contributions: Sequence[Contribution]) -> Potential:
+def assemble(contributions: Sequence[Contribution]) -> Potential:
     """The potential of a step; contributions of one kind are joined.
 
     Raises:

@@ -103,11 +103,11 @@ class SaddlePointSystem:
         """What residuals of both equations are measured in."""
         return self.join(self.scale, self.scale[self.drag.dofs.array])
 
-    def reach(self, z: Unknowns, direction: Unknowns) -> Array:
-        return self.potential.reach(self.split(z)[0], self.split(direction)[0])
+    def max_step(self, z: Unknowns, direction: Unknowns) -> Array:
+        return self.potential.max_step(self.split(z)[0], self.split(direction)[0])
 
-    def fault(self, z: Unknowns) -> Array:
-        return self.potential.fault(self.split(z)[0])
+    def status(self, z: Unknowns) -> Array:
+        return self.potential.status(self.split(z)[0])
 
     @property
     def stiffness(self) -> Array:
@@ -129,7 +129,7 @@ class SaddlePointSystem:
         q, f = self.split(z)
         force = gradient + self._spread(f)
         move = (q - self.drag.origin)[self.drag.dofs.array]
-        slip = move - self.drag.time * self.drag.law.apply(f)
+        slip = move - self.drag.time * self.drag.law.mv(f)
         return self.join(jnp.where(self.free > 0, force, q - self.held), self.stiffness * slip)
 
     def value_and_gradient(self, z: Unknowns) -> tuple[Array, Unknowns]:
@@ -198,7 +198,7 @@ class _Still:
     def coarse(self) -> "_Still":
         return self
 
-    def apply(self, force: Array) -> Array:
+    def mv(self, force: Array) -> Array:
         return force
 
     def precondition(self, velocity: Array) -> Array:
@@ -209,7 +209,7 @@ def drag_forces(
     law: MobilityOperator, velocity: Float[Array, " m"], tolerance: float = EXACT
 ) -> Float[Array, " m"]:
     """The forces (N) with which a fluid resists velocities (m/s), by GMRES."""
-    alone = gmres(lambda u: law.apply(law.precondition(u)), velocity, tolerance, PRODUCTS)
+    alone = gmres(lambda u: law.mv(law.precondition(u)), velocity, tolerance, PRODUCTS)
     return law.precondition(alone)
 
 
@@ -245,7 +245,7 @@ class SaddlePointFactor:
         """What changes of q and f do to the two equations: forces, and a displacement (m)."""
         s = self.saddle
         force = multiply(self.matrices, q) + self.diagonal * q + s._spread(f)
-        slip = q[s.drag.dofs.array] - s.drag.time * self.law.apply(f)
+        slip = q[s.drag.dofs.array] - s.drag.time * self.law.mv(f)
         return jnp.where(s.free > 0, force, q), slip
 
     def _roughly(self, b: Dofs, slip: Array) -> tuple[Dofs, Array]:

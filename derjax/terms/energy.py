@@ -31,7 +31,7 @@ class OfNodes:
         return jax.hessian(self)(local, data)
 
     @classmethod
-    def together(cls, parts: Sequence[tuple["OfNodes", Any]]) -> tuple["OfNodes", Any]:
+    def merge(cls, parts: Sequence[tuple["OfNodes", Any]]) -> tuple["OfNodes", Any]:
         """The sum of several."""
         functions = Sum(lambda x, data, f=p.function: f(x, *data) for p, _ in parts)
         return cls(functions), (tuple(data for _, data in parts),)

@@ -12,7 +12,7 @@ from derjax.scenes.messages import check
 from fitting.observe import interpolation
 from fitting.simulate import Simulator, motor_rate, steps_per_call
 from fitting.tracks import Dataset, Run
-from fitting.transforms import choose
+from fitting.transforms import select_parameters
 
 TRUTH = {"C_t": 4.8, "C_r": 0.36}
 TIMES = np.linspace(0.11, 2.65, 24) ** 1.05
@@ -45,7 +45,7 @@ def scene() -> SceneFile:
 def simulator(scene: SceneFile) -> Simulator:
     """Simulates it with respect to the two drag prefactors."""
     steps = steps_per_call(interpolation(TIMES, scene.step).n_steps)  # as in `Model`: one program
-    return Simulator(scene, choose(("C_t", "C_r"), scene.parameters), steps)
+    return Simulator(scene, select_parameters(("C_t", "C_r"), scene.parameters), steps)
 
 
 def synthetic_run(

@@ -8,7 +8,7 @@ import pytest
 from derjax import InputError, roll_frames
 from fitting.design import design, efficiency, speed
 from fitting.simulate import build_with
-from fitting.transforms import choose
+from fitting.transforms import select_parameters
 
 NAMES = ("pitch", "helix_radius")
 
@@ -21,7 +21,7 @@ def short(scene):
 @pytest.fixture(scope="module")
 def merits(short):
     """Speed and efficiency, their gradients and the motion at logarithms of pitch and radius."""
-    parameters = choose(NAMES, short.parameters)
+    parameters = select_parameters(NAMES, short.parameters)
 
     def both(free):
         built, state = build_with(short, parameters, free, jnp.array(60.0))

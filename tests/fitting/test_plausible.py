@@ -9,7 +9,7 @@ from fitting.conclusion import Conclusion, judge
 from fitting.levenberg import Optimum
 from fitting.model import Model
 from fitting.plausible import course, implausible, runaway
-from fitting.transforms import choose
+from fitting.transforms import select_parameters
 from fitting.uncertainty import Residuals
 
 NAMES = ("C_t", "youngs_modulus", "poisson_ratio")
@@ -24,7 +24,7 @@ def test_a_parameter_runs_away_where_the_tracks_do_not_feel_it() -> None:
 
 
 def test_where_parameters_run() -> None:
-    parameters = choose(NAMES, START)
+    parameters = select_parameters(NAMES, START)
     assert course(parameters, 0, 4.0) == "grows without end"
     assert course(parameters, 0, -4.0) == "falls towards 0"
     assert course(parameters, 2, 4.0) == "grows towards 0.5"
@@ -32,7 +32,7 @@ def test_where_parameters_run() -> None:
 
 def test_what_is_not_plausible() -> None:
     """A prefactor by its size, wherever it started; others by their way from the start."""
-    parameters = choose(NAMES, START)
+    parameters = select_parameters(NAMES, START)
     usual = {"C_t": 20.0, "youngs_modulus": 2e7, "poisson_ratio": 0.49}
     assert implausible(parameters, usual, {**START, "C_t": 0.2}) == {}
     odd = implausible(parameters, {**usual, "C_t": 3e4, "youngs_modulus": 1e3}, START)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from derjax import InputError, SceneFile
-from fitting.transforms import Interval, Log, Parameters, choose
+from fitting.transforms import Interval, Log, Parameters, select_parameters
 
 
 @pytest.mark.parametrize(
@@ -46,7 +46,7 @@ def test_slopes_are_derivatives() -> None:
 )
 def test_wrong_names(names, says) -> None:
     with pytest.raises(InputError, match=says):
-        choose(names, SceneFile().parameters)
+        select_parameters(names, SceneFile().parameters)
 
 
 @pytest.mark.parametrize(
@@ -55,4 +55,4 @@ def test_wrong_names(names, says) -> None:
 )
 def test_start_out_of_range(name, value, says) -> None:
     with pytest.raises(InputError, match=says):
-        choose((name,), SceneFile().parameters).free({name: value})
+        select_parameters((name,), SceneFile().parameters).free({name: value})

@@ -10,10 +10,10 @@ from ..step import (
     Step,
     finish_step,
     fluid_velocity,
+    motor_rotation,
     predict,
     predicted_displacement,
     solve,
-    turned,
 )
 
 
@@ -23,7 +23,7 @@ def euler(scene: Scene, state: State, length: Array) -> Step:
     Drag matrices are taken where the rod is expected in the middle of the step. The error is
     estimated as h^2/2 d2q/dt2.
     """
-    turn = turned(scene, state, length)
+    turn = motor_rotation(scene, state, length)
     prediction = predict(scene, state, 0.5 * length, length)
     flow = fluid_velocity(scene, prediction.configuration, state.time + 0.5 * length)
     stage = Stage(length, state.time + length, state.motor_angle + turn, fluid_velocity=flow)

@@ -35,10 +35,10 @@ from ..step import (
     Step,
     finish_step,
     fluid_velocity,
+    motor_rotation,
     predict,
     predicted_velocity,
     solve,
-    turned,
 )
 
 D = 1.0 - 1.0 / math.sqrt(2.0)
@@ -86,7 +86,7 @@ def trbdf2(scene: Scene, state: State, length: Array) -> Step:
         end, known, found = coefficients * length
         origin = state.q + known * state.velocity + found * before.velocity
         pace = state.velocity + known * state.acceleration + found * before.acceleration
-        turn = turned(scene, state, end)
+        turn = motor_rotation(scene, state, end)
         expected = predicted_velocity(scene, state, end)
         move = origin + part * (expected + before.surprise) - state.q
         prediction = predict(scene, state, end, length)
@@ -105,6 +105,6 @@ def trbdf2(scene: Scene, state: State, length: Array) -> Step:
     stages = jnp.where(has_moved(state), LATER, FIRST)
     (last, info), _ = lax.scan(stage, start, stages)
     error = ERROR * length**3 * jerk(state, length, last.q)
-    turn = turned(scene, state, length)
+    turn = motor_rotation(scene, state, length)
     end = finish_step(scene, state, length, last.q, last.velocity, last.acceleration, turn)
     return Step(end, info, error)

@@ -31,7 +31,7 @@ from ...scenes.ingredients import (
 )
 from ...scenes.parameters import place_of
 from ...scenes.shape import touching_pairs
-from ..batch import advance, build_many, everyone, pick, repeat, spread
+from ..batch import advance, all_runs, build_many, pick, repeat, shard
 
 T = TypeVar("T")
 
@@ -51,12 +51,12 @@ class Chunk:
 
     Attributes:
         files: the scenes of the points, by their numbers.
-        places: of the batch that they are computed in, at least.
+        slots: of the batch that they are computed in, at least.
         trajectories: whether to keep them.
     """
 
     files: Mapping[int, SceneFile]
-    places: int
+    slots: int
     trajectories: bool = False
 
 
@@ -167,10 +167,10 @@ def compute(
             `Cancelled`.
     """
     numbers, files = list(chunk.files), list(chunk.files.values())
-    scenes, states = _build_all(files, chunk.places)
-    _compile(scenes, states, files[0], chunk.places)
+    scenes, states = _build_all(files, chunk.slots)
+    _compile(scenes, states, files[0], chunk.slots)
     began = time.perf_counter()
-    frames, reports = _run(scenes, states, files[0], chunk.places, on_progress)
+    frames, reports = _run(scenes, states, files[0], chunk.slots, on_progress)
     whole = jax.tree.map(lambda a, b: np.concatenate([a[:, None], b], axis=1), states, frames)
     shared = (time.perf_counter() - began) / len(files)
     return [
@@ -207,17 +207,17 @@ def compute_surely(
     return outcomes
 
 
-def _build_all(files: Sequence[SceneFile], places: int) -> tuple[Scene, State]:
+def _build_all(files: Sequence[SceneFile], slots: int) -> tuple[Scene, State]:
     """The scenes and states of points, with a leading axis of points, on the host.
 
-    Always built for at least so many places, for chunks of fewer points to share a program.
+    Always built for at least so many slots, for chunks of fewer points to share a program.
     """
     forms: dict[Hashable, list[int]] = {}
     for k, file in enumerate(files):
         forms.setdefault(_form(file), []).append(k)
     parts = []
     for alike in forms.values():
-        spare = max(places - len(alike), 0)
+        spare = max(slots - len(alike), 0)
         values = [files[k].parameters for k in [*alike, *alike[:1] * spare]]
         columns = {name: np.array([v[name] for v in values], float) for name in values[0]}
         built = jax.tree.map(np.asarray, build_many(files[alike[0]], columns))
@@ -227,10 +227,10 @@ def _build_all(files: Sequence[SceneFile], places: int) -> tuple[Scene, State]:
     return scenes, scenes.start
 
 
-def _compile(scenes: Scene, states: State, file: SceneFile, places: int) -> None:
+def _compile(scenes: Scene, states: State, file: SceneFile, slots: int) -> None:
     """Has the program of `_run` compiled, by running it with points that take no steps."""
     over = replace(new_stats(), status=jnp.array(Status.NON_FINITE, jnp.int32))
-    batch = spread(scenes, states, repeat(over, len(states.time)), places=places)
+    batch = shard(scenes, states, repeat(over, len(states.time)), slots=slots)
     jax.block_until_ready(advance(batch, *_piece(file))[1])
 
 
@@ -245,7 +245,7 @@ def _run(
     scenes: Scene,
     states: State,
     file: SceneFile,
-    places: int,
+    slots: int,
     on_progress: Callable[[float], None],
 ) -> tuple[State, RolloutStats]:
     """All frames of all points, and how they went.
@@ -254,13 +254,13 @@ def _run(
     """
     count, n_frames = len(states.time), file.n_frames
     frames_of_piece, steps_per_frame = _piece(file)
-    batch, parts = spread(scenes, states, places=places), []
+    batch, parts = shard(scenes, states, slots=slots), []
     for done in range(frames_of_piece, n_frames + 1, frames_of_piece):
         batch, part = advance(batch, frames_of_piece, steps_per_frame)
-        parts.append(everyone(batch, part))
+        parts.append(all_runs(batch, part))
         on_progress(count * done / n_frames)
     frames = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1), *parts)
-    reports = everyone(batch, batch.reports)
+    reports = all_runs(batch, batch.reports)
     short = np.flatnonzero(reports.status == Status.CAPACITY)
     if not short.size:
         return frames, reports
@@ -268,7 +268,7 @@ def _run(
         enlarge(pick(scenes, short)),
         pick(states, short),
         file,
-        places,
+        slots,
         lambda done: on_progress(count),  # for `Cancelled`
     )
 

@@ -97,13 +97,13 @@ class Grip:
 
     Attributes:
         dofs: (k, 14) degrees of freedom of each pair.
-        taken: (k,) which places of the list are in use.
+        mask: (k,) which places of the list are in use.
         slip: (k, 3, 14) m per displacement.
         normal_force: (k,) N.
     """
 
     dofs: Int[Array, "k 14"]
-    taken: Bool[Array, " k"]
+    mask: Bool[Array, " k"]
     slip: Float[Array, "k 3 14"]
     normal_force: Float[Array, " k"]
 
@@ -140,7 +140,7 @@ class Friction(Term):
             lambda: jax.vmap(_pressed)(state.q[positions], contact.touch),
             lambda: (jnp.zeros((len(dofs), 3, 14)), jnp.zeros(len(dofs))),
         )
-        return Grip(dofs, close.taken, slips, normal_force)
+        return Grip(dofs, close.mask, slips, normal_force)
 
     def contribution(self, rod: Rod, state: State, stage: Stage, cache: Grip) -> Pairs:
         data = SlipData(
@@ -149,4 +149,4 @@ class Friction(Term):
             strength=self.coefficient * cache.normal_force,
             smallest=jnp.broadcast_to(self.slip_speed * stage.length, len(cache.dofs)),
         )
-        return Pairs(cache.dofs, cache.taken, FrictionDissipation(), data)
+        return Pairs(cache.dofs, cache.mask, FrictionDissipation(), data)

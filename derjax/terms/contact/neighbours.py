@@ -144,7 +144,7 @@ class Neighbours:
     Attributes:
         edges: (k, 2) of each pair.
         nodes: (k, 4) start and end of both edges.
-        taken: (k,) which places of the list are in use.
+        mask: (k,) which places of the list are in use.
         found: how many pairs came close, more than k if the list was too short.
         topology: of the rod.
         pairs: (p, 2) all edges that could ever touch.
@@ -155,7 +155,7 @@ class Neighbours:
 
     edges: Int[Array, "k 2"]
     nodes: Int[Array, "k 4"]
-    taken: Bool[Array, " k"]
+    mask: Bool[Array, " k"]
     found: Int[Array, ""]
     topology: Topology = static()
     pairs: Indices = static()
@@ -164,9 +164,9 @@ class Neighbours:
     skin: Float[Array, ""]
 
     def _distances(self, x: Float[Array, "n 3"]) -> Float[Array, " k"]:
-        return jnp.where(self.taken, distance(x[self.nodes]), jnp.inf)
+        return jnp.where(self.mask, distance(x[self.nodes]), jnp.inf)
 
-    def reach(self, q: Dofs, direction: Dofs) -> Array:
+    def max_step(self, q: Dofs, direction: Dofs) -> Array:
         """How much of `direction` no pair can get through each other within.
 
         In one go the two edges of a pair may approach by half of their distance at most, and
@@ -185,7 +185,7 @@ class Neighbours:
 
         return lax.cond(self.found > 0, of_the_nearest, lambda: jnp.ones(()))
 
-    def fault(self, q: Dofs) -> Array:
+    def status(self, q: Dofs) -> Array:
         """Whether the list was too short, or a step that ends at `q` cannot be accepted."""
         x = self._nodes(q)
         moved = jnp.sqrt(jnp.max(jnp.sum((x - self.start) ** 2, axis=1)))
@@ -237,7 +237,7 @@ def search(
     return Neighbours(
         edges=edges,
         nodes=_nodes_of(topology, edges),
-        taken=jnp.arange(capacity) < found,
+        mask=jnp.arange(capacity) < found,
         found=found,
         topology=topology,
         pairs=pairs,

@@ -139,4 +139,4 @@ class Contact(Term):
 
     def contribution(self, rod: Rod, state: State, stage: Stage, cache: Neighbours) -> Pairs:
         dofs = (3 * cache.nodes[:, :, None] + jnp.arange(3)).reshape(-1, 12)
-        return Pairs(dofs, cache.taken, ContactEnergy(), self.touch, cache)
+        return Pairs(dofs, cache.mask, ContactEnergy(), self.touch, cache)

@@ -263,7 +263,7 @@ class HingePotential:
         return _to_nodes(half.T, frames.sign)
 
     @classmethod
-    def together(cls, parts: Sequence[tuple["HingePotential", Any]]) -> tuple[Self, Any]:
+    def merge(cls, parts: Sequence[tuple["HingePotential", Any]]) -> tuple[Self, Any]:
         """All terms of a rod share the frames of its hinges."""
         frames = parts[0][1][0]
         density = Sum(potential.density for potential, _ in parts)

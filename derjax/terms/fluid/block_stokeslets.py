@@ -159,7 +159,7 @@ class BlockMobility:
         """The forces (N) that move every block as if it were alone (m/s)."""
         return self.flat(jnp.einsum("bij,bj->bi", self.resistance, self.blocks(velocity)))
 
-    def apply(self, force: Float[Array, " w"]) -> Float[Array, " w"]:
+    def mv(self, force: Float[Array, " w"]) -> Float[Array, " w"]:
         """The velocities (m/s) for forces (N)."""
         f = self.blocks(force)
         first, second = self.pairs.T

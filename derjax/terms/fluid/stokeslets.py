@@ -16,7 +16,7 @@ from jax import lax
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
-from ...core.pytree import Indices, push, pytree, replace, static
+from ...core.pytree import Indices, jvp_nonzero, pytree, replace, static
 from ...rods.kinematics import positions
 from ...rods.rod import Rod, State
 from ...solve.potential import Quadratic
@@ -243,7 +243,7 @@ class Resistance:
             r = 0.5 * (r + r.T)
         return self._felt(r) / self.time
 
-    def apply(self, displacement: Float[Array, " 3m"]) -> Float[Array, " 3m"]:
+    def mv(self, displacement: Float[Array, " 3m"]) -> Float[Array, " 3m"]:
         force = _solve(self.segments, self.x, self.inverse, displacement)
         if self._averaged:
             other = _solve_transposed(self.segments, self.x, self.inverse, displacement)
@@ -263,7 +263,7 @@ def _solver(product: Callable[..., Array], apply: Callable[[Array, Array], Array
         segments, x, inverse, _ = primals
         d_segments, d_x, _, d_b = tangents
         force = solve(*primals)
-        _, d_flow = push(lambda s, x: product(s, x, force), (segments, x), (d_segments, d_x))
+        _, d_flow = jvp_nonzero(lambda s, x: product(s, x, force), (segments, x), (d_segments, d_x))
         change = -d_flow if isinstance(d_b, SymbolicZero) else d_b - d_flow
         return force, solve(segments, x, inverse, change)
 
