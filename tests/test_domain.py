@@ -224,6 +224,17 @@ def test_derivatives_of_a_run_by_the_height_of_the_wall():
     check_derivatives(end, step=1e-2, error=1e-6)
 
 
+def test_a_domain_without_numbers_is_not_lost():
+    """It is part of the structure that a scene was built with: `replace` refuses to lose it."""
+    scene = build(FILE)
+    terms = [
+        replace(t, domain=SlipWall(jnp.zeros(()))) if hasattr(t, "domain") else t
+        for t in scene.terms
+    ]
+    with pytest.raises(ValueError, match="StokesletSegments"):
+        replace(scene, terms=tuple(terms)).replace(C_t=4.0)
+
+
 def test_derivatives_of_a_mobility_in_blocks_by_the_height_of_the_wall(rng):
     """And by the size of the robot."""
     scene = build(FILE)

@@ -16,17 +16,28 @@ from ..terms.term import Term
 SAME = 1e-9
 """Relative difference of check sums that rounding may make."""
 
-CheckSums = dict[str, Array]
-"""Check sums of terms by the names of their types."""
+CheckSums = dict[tuple[str, int], Array]
+"""Check sums of terms, by the names of their types and what else is part of their structure."""
 
 
 def check_sums(terms: Sequence[Term]) -> CheckSums:
     """Sums over the leaves of terms, in which every number has a weight of its own."""
     sums: CheckSums = {}
     for term in terms:
-        name = type(term).__name__
-        sums[name] = sums.get(name, jnp.zeros(())) + _weighted(jax.tree.leaves(term), jnp)
+        kind = _kind(term)
+        sums[kind] = sums.get(kind, jnp.zeros(())) + _weighted(jax.tree.leaves(term), jnp)
     return sums
+
+
+def for_enlarged(sums: CheckSums, terms: Sequence[Term], enlarged: Sequence[Term]) -> CheckSums:
+    """The check sums, once terms have longer lists: these are no change of what was built."""
+    kinds = {_kind(old): _kind(new) for old, new in zip(terms, enlarged, strict=True)}
+    return {kinds.get(kind, kind): value for kind, value in sums.items()}
+
+
+def _kind(term: Term) -> tuple[str, int]:
+    """The name of a term's type, and a number for all that is no leaf of it."""
+    return type(term).__name__, hash(jax.tree.structure(term))
 
 
 def changed(terms: Sequence[Term], built: CheckSums) -> tuple[str, ...]:
@@ -36,20 +47,22 @@ def changed(terms: Sequence[Term], built: CheckSums) -> tuple[str, ...]:
         terms: those of a scene.
         built: the check sums of the terms that it was built with.
     """
-    now: dict[str, float] = {}
-    size: dict[str, float] = {}
+    now: dict[tuple[str, int], float] = {}
+    size: dict[tuple[str, int], float] = {}
     for term in terms:
-        name = type(term).__name__
+        kind = _kind(term)
         leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(term)]
-        now[name] = now.get(name, 0.0) + float(_weighted(leaves, np))
-        size[name] = size.get(name, 0.0) + float(_weighted([abs(leaf) for leaf in leaves], np))
-    return tuple(
+        now[kind] = now.get(kind, 0.0) + float(_weighted(leaves, np))
+        size[kind] = size.get(kind, 0.0) + float(_weighted([abs(leaf) for leaf in leaves], np))
+    others = {
         name
-        for name in sorted(now.keys() | built.keys())
-        if name not in now
-        or name not in built
-        or not abs(now[name] - float(built[name])) <= SAME * size[name]
-    )
+        for name, structure in now.keys() | built.keys()
+        if (name, structure) not in now
+        or (name, structure) not in built
+        or not abs(now[name, structure] - float(built[name, structure]))
+        <= SAME * size[name, structure]
+    }
+    return tuple(sorted(others))
 
 
 def _weighted(leaves: Sequence[Array | np.ndarray], xp) -> Array:

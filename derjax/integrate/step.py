@@ -146,9 +146,10 @@ class Scene:
         """Refuses to lose what has been done to terms that follow from parameters."""
         built = self.terms[: len(self.check_sums)]
         names = [type(term).__name__ for term in built]
-        if sorted(names) != sorted(self.check_sums):
+        known = sorted(name for name, _ in self.check_sums)
+        if sorted(names) != known:
             raise ValueError(
-                f"the scene was built with the terms {', '.join(self.check_sums)}, and now has "
+                f"the scene was built with the terms {', '.join(known)}, and now has "
                 f"{', '.join(names)}: build it anew, and then change its terms"
             )
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(self)):

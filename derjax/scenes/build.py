@@ -12,7 +12,7 @@ from jaxtyping import Array
 from ..core.errors import InputError
 from ..core.pytree import Indices, replace
 from ..core.status import SolverError
-from ..integrate.provenance import check_sums
+from ..integrate.provenance import check_sums, for_enlarged
 from ..integrate.step import Scene
 from ..rods.rod import at_rest
 from .file import SceneFile
@@ -139,7 +139,8 @@ def enlarge(scene: Scene) -> Scene:
         raise SolverError(
             f"a list of fixed length is full, and none of the terms can have a longer one: {names}"
         )
-    return replace(scene, terms=terms)
+    sums = for_enlarged(scene.check_sums, scene.terms, terms)
+    return replace(scene, terms=terms, check_sums=sums)
 
 
 @partial(jax.jit, static_argnums=(0, 1))  # as one program: quicker than operation by operation
