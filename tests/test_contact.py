@@ -170,7 +170,7 @@ def two_rods(**fields: Any) -> Topology:
 FREE = two_rods()
 ENDS = (0, 1, N - 1, N)
 CLAMPED = two_rods(
-    clamped=held_dofs(FREE, [*ENDS, *(N + 1 + i for i in ENDS)], [0, N - 1, N, 2 * N - 1])
+    fixed_dofs=held_dofs(FREE, [*ENDS, *(N + 1 + i for i in ENDS)], [0, N - 1, N, 2 * N - 1])
 )
 APART = pairs_apart(FREE, np.full(2 * N, 1 / N), 10.0)
 """Any edge of the one rod with any of the other."""

@@ -142,7 +142,7 @@ def test_friction_only_dissipates_and_tends_to_coulombs_law(rubbed):
 
 # A block on a slope ---------------------------------------------------------------------------
 
-RAILS = Topology(6, ((0, 1), (2, 3), (4, 5)), (), clamped=(*range(12), 18, 19))
+RAILS = Topology(6, ((0, 1), (2, 3), (4, 5)), (), fixed_dofs=(*range(12), 18, 19))
 """Two fixed rods along y, at x = -0.5 and 0.5, and across them one of length 2 along x."""
 
 BLOCK = np.array([0.0, 0, 0, 0, 0.5, 0.5])
@@ -333,7 +333,7 @@ def bars_and_rod() -> Topology:
     hinges = [(BARS + i, BARS + i + 1) for i in range(SOFT - 1)]
     free = Topology(N_NODES, tuple(bars + soft), tuple(hinges))
     held = held_dofs(free, [*range(2 * BARS), N_NODES - 1], [*range(BARS), BARS + SOFT - 1])
-    return Topology(N_NODES, free.edges, free.hinges, clamped=held)
+    return Topology(N_NODES, free.edges, free.hinges, fixed_dofs=held)
 
 
 CAPSTAN = bars_and_rod()
