@@ -42,7 +42,7 @@ def cantilever(n_edges: int) -> tuple[Rod, State, tuple[int, ...]]:
     nodes = np.zeros((n_edges + 2, 3))
     nodes[:, 0] = (np.arange(n_edges + 2) - 1.0) / n_edges
     held = held_dofs(chain(n_edges + 2), (0, 1), (0,))
-    return *rest(chain(n_edges + 2, clamped=held), nodes), held
+    return *rest(chain(n_edges + 2, fixed_dofs=held), nodes), held
 
 
 def held_dofs(topology: Topology, nodes: Sequence[int], edges: Sequence[int]) -> tuple[int, ...]:

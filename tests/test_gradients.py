@@ -65,7 +65,7 @@ def spring(weights: jax.Array) -> jax.Array:
     from derjax.solve.newton import NewtonSettings
     from derjax.terms import Gravity, ResistiveDrag, Stretch
 
-    topology = derjax.chain(4, filaments=((0, 1, 2, 3),), clamped=(0, 1, 2, 9, 10, 11))
+    topology = derjax.chain(4, filaments=((0, 1, 2, 3),), fixed_dofs=(0, 1, 2, 9, 10, 11))
     nodes = jnp.array([[0.0, 0, 0], [0.01, 0, 0.001], [0.02, 0, -0.002], [0.03, 0.001, 0]])
     rod, state = derjax.at_rest(topology, nodes)
     terms = (
