@@ -10,10 +10,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from quick import DURATIONS, FLAGS, files_with_tests
+from quick import DURATIONS, QUICKLY, files_with_tests
 
-# Unless flags have been chosen already: `XLA_FLAGS= pytest` compiles as users do.
-os.environ.setdefault("XLA_FLAGS", FLAGS)
+# Unless chosen already: `JAX_DISABLE_MOST_OPTIMIZATIONS=0 XLA_FLAGS= pytest` compiles as users do.
+os.environ.update({key: value for key, value in QUICKLY.items() if key not in os.environ})
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 import jax
@@ -21,6 +21,8 @@ import numpy as np
 import pytest
 
 from derjax.core.runtime import use_one_blas_thread
+
+QUICKLY_COMPILED = jax.config.read("jax_disable_most_optimizations")
 
 MUCH_LONGER = 3.0
 """A file that takes so many times what is stored is named when the tests end."""
@@ -53,6 +55,13 @@ def pytest_configure(config: pytest.Config) -> None:
         # pytest-xdist would begin with the files that have the most tests.
         config.option.loadscopereorder = False
     config.pluginmanager.register(Durations(config))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Before fixtures of the whole session compile anything for a file, too."""
+    quickly = QUICKLY_COMPILED and item.get_closest_marker("optimised") is None
+    jax.config.update("jax_disable_most_optimizations", quickly)
 
 
 class Durations:

@@ -420,7 +420,7 @@ def pressing(scene: Scene, state: State) -> jax.Array:
     assert isinstance(contact, Contact)
     pairs = share(contact, scene.rod, state, scene.step_length)
     local = jax.vmap(pairs.potential.gradient)(state.q[pairs.dofs], pairs.data)
-    force = jnp.where(pairs.taken[:, None], local, 0.0)[:, :6].reshape(-1, 2, 3).sum(axis=1)
+    force = jnp.where(pairs.mask[:, None], local, 0.0)[:, :6].reshape(-1, 2, 3).sum(axis=1)
     return jnp.sum(jnp.sqrt(jnp.sum(force**2, axis=1)))
 
 
