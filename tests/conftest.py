@@ -22,7 +22,8 @@ import pytest
 
 from derjax.core.runtime import use_one_blas_thread
 
-QUICKLY_COMPILED = jax.config.read("jax_disable_most_optimizations")
+QUICKLY_COMPILED = os.environ.get("JAX_DISABLE_MOST_OPTIMIZATIONS") == "1"
+"""Asked for here, as JAX may have been imported before."""
 
 MUCH_LONGER = 3.0
 """A file that takes so many times what is stored is named when the tests end."""

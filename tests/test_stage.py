@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers import elasticity, order, rest
 
-from derjax import Scene, SceneFile, State, build, chain, positions, roll_frames
+from derjax import Scene, SceneFile, State, build, chain, march_frames, positions
 from derjax.core.pytree import pytree, replace
 from derjax.integrate.schemes.euler import euler
 from derjax.integrate.schemes.trbdf2 import trbdf2
@@ -17,7 +17,7 @@ from derjax.solve.newton import NewtonSettings
 from derjax.solve.potential import Diagonal, Load
 from derjax.terms import ResistiveDrag, SpinDrag, Stage, Term
 
-run = jax.jit(roll_frames, static_argnums=(2, 3))
+run = jax.jit(march_frames, static_argnums=(2, 3))
 
 
 @pytree
@@ -119,7 +119,7 @@ def stiff_rod() -> tuple[Scene, State]:
 
 def slant(scene: Scene, state: State, steps: int) -> jax.Array:
     """x over y from the middle to the end of the rod."""
-    states, _ = roll_frames(scene, state, 1, steps)
+    states, _ = march_frames(scene, state, 1, steps)
     x = positions(scene.rod.topology, states.q[-1])
     along = x[-1] - x[len(x) // 2]
     return along[0] / along[1]
