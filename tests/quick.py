@@ -21,10 +21,19 @@ if version("jaxlib").startswith("0.10."):
     QUICKLY["XLA_FLAGS"] = "--xla_cpu_use_fusion_emitters=false"
 
 
+def environment() -> dict[str, str]:
+    """For a process that a test starts: it shares the compiled programs of the tests."""
+    return {
+        **os.environ,
+        "JAX_COMPILATION_CACHE_DIR": str(jax.config.read("jax_compilation_cache_dir")),
+        # As `use_one_blas_thread`: where other tests run, threads wait for each other.
+        "OPENBLAS_NUM_THREADS": "1",
+    }
+
+
 def environment_of_users() -> dict[str, str]:
-    """For a process that compiles as users do: where long runs cost more than compiling."""
-    kept = {k: v for k, v in os.environ.items() if QUICKLY.get(k) != v}
-    return kept | {"JAX_COMPILATION_CACHE_DIR": str(jax.config.jax_compilation_cache_dir)}
+    """Likewise, compiled as users do: where long runs cost more than compiling."""
+    return {key: value for key, value in environment().items() if QUICKLY.get(key) != value}
 
 
 def files_with_tests() -> list[Path]:

@@ -8,7 +8,7 @@ import nbformat
 import pytest
 from nbclient import NotebookClient
 from nbformat import NotebookNode
-from quick import environment_of_users
+from quick import environment
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.py"))
 TIMEOUT = 900
@@ -38,7 +38,7 @@ def test_executed_copy_is_in_sync(path):
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_runs(path, monkeypatch):
     """From top to bottom; each checks its own numbers with assertions."""
-    monkeypatch.setattr(os, "environ", environment_of_users())
+    monkeypatch.setattr(os, "environ", environment())
     monkeypatch.delenv("MPLBACKEND", raising=False)
     notebook = jupytext.read(path)
     where = {"metadata": {"path": str(path.parent)}}
