@@ -25,7 +25,7 @@ def environment() -> dict[str, str]:
     """For a process that a test starts: it shares the compiled programs of the tests."""
     return {
         **os.environ,
-        "JAX_COMPILATION_CACHE_DIR": str(jax.config.read("jax_compilation_cache_dir")),
+        "JAX_COMPILATION_CACHE_DIR": str(jax.config.jax_compilation_cache_dir),
         # As `use_one_blas_thread`: where other tests run, threads wait for each other.
         "OPENBLAS_NUM_THREADS": "1",
     }
