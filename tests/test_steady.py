@@ -3,10 +3,13 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 import pytest
+import xarray as xr
 from helpers import rotation
 
 import derjax as dj
+from derjax.commands.main import main
 from derjax.core.pytree import replace
 
 TINY = {
@@ -90,7 +93,8 @@ def test_a_motor_that_stands_still_leaves_the_robot_at_rest():
     state = dj.steady(dj.build(FILE, {"rpm": 0.0}))
     assert state.ok
     np.testing.assert_allclose(state.motion.velocity, 0.0, atol=1e-12)
-    np.testing.assert_allclose(state.positions, dj.build(FILE).rod.nodes or state.positions)
+    start = dj.positions(state.scene.rod.topology, state.scene.start.q)
+    np.testing.assert_allclose(state.positions, start, atol=1e-12)
 
 
 def test_rigid_motions_are_modes_of_the_linearisation(swimming):
@@ -159,3 +163,59 @@ def test_a_filament_on_a_fixed_motor_turns_about_its_axis():
     run.raise_if_failed()
     end = np.linalg.norm(run.positions[-1, -1] - run.positions[-1, 0])
     assert end == pytest.approx(float(state.tail_to_head), rel=1e-5)
+
+
+SCENE = """
+[robot]
+edge_length = 0.02
+pitch = 31.8e-3
+[fluid]
+hydrodynamics = "rft"
+[time]
+inertia = false
+"""
+
+
+def test_the_command_finds_a_curve_its_threshold_and_goes_on(tmp_path, capsys):
+    """From `--vary` to table, shapes and figures; what is there is kept, and added to."""
+    path, out = tmp_path / "scene.toml", tmp_path / "out"
+    path.write_text(SCENE)
+    argv = ["steady", str(path), "-o", str(out), "--stability", "--vary"]
+    assert main([*argv, "rpm=60:180:60"]) == 0
+    table = pd.read_csv(out / "steady.csv")
+    assert table.columns[0] == "rpm"
+    assert list(table.rpm) == [60.0, 120.0, 180.0]
+    assert {p.name for p in out.glob("*.png")} == {"curves.png", "shapes.png", "mode.png"}
+    state = dj.steady(dj.build(dj.load_scene(path), {"rpm": 120.0}))
+    assert table.v_m_per_s[1] == pytest.approx(float(state.speed), rel=1e-7)
+    # All of the motor's power is dissipated: torque times rate against drag on nodes and head.
+    forces, velocity = dj.forces(state.scene, state.state), state.state.velocity
+    n = 3 * state.scene.rod.topology.n_nodes
+    drag = (forces["ResistiveDrag"] + forces["HeadDrag"]).ravel() @ velocity[:n]
+    spin = float(state.scene[dj.HeadDrag].spin) * float(state.head_rate) ** 2
+    assert table.torque_N_m[1] * float(state.motor_rate) == pytest.approx(
+        float(spin - drag), rel=1e-6
+    )
+    assert main([*argv, "rpm=60:180:60"]) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert main([*argv, "rpm=60:180:40", "--resume"]) == 0
+    assert list(pd.read_csv(out / "steady.csv").rpm) == [60.0, 100.0, 120.0, 140.0, 180.0]
+    shapes = xr.load_dataset(out / "steady.nc")
+    assert shapes.position.shape == (4, state.scene.rod.topology.n_nodes, 3)
+
+
+@pytest.mark.parametrize(
+    ("vary", "message"),
+    [
+        ("rpm=10:", "should be like"),
+        ("speed=1,2", "no such number; the scene has"),
+        ("rpm=1,1", "given twice"),
+        ("pitch=-0.1", "pitch"),
+    ],
+)
+def test_wrong_values_are_named_and_leave_nothing(tmp_path, capsys, vary, message):
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE)
+    assert main(["steady", str(path), "-o", str(tmp_path / "out"), "--vary", vary]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
