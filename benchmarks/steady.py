@@ -14,6 +14,7 @@ import numpy as np
 
 import derjax as dj
 from derjax.results import steady as results
+from derjax.steady.solve import steady_near
 
 from .tables import markdown
 
@@ -32,7 +33,7 @@ def rows(pitch: float, rates: np.ndarray | tuple[float, ...]) -> list[dict]:
     found, known = [], None
     for rpm in rates:
         began = time.perf_counter()
-        state = jax.block_until_ready(dj.steady(scene(pitch, rpm), known))
+        state = jax.block_until_ready(steady_near(scene(pitch, rpm), known))
         took = time.perf_counter() - began
         state.raise_if_failed()
         modes = dj.stability(state)

@@ -23,7 +23,7 @@ from ..scenes.extensions import unit_of
 from ..scenes.file import SceneFile
 from ..scenes.load import load_scene
 from ..steady.motion import symmetry_of
-from ..steady.solve import Steady, steady
+from ..steady.solve import Steady, steady_near
 from ..steady.stability import Stability, stability, threshold
 from .progress import Progress, interruptible
 
@@ -178,9 +178,7 @@ def _compute(
     ):
         for k, (value, scene) in enumerate(zip(values, scenes, strict=True)):
             done = value in rows
-            state = steady(scene) if known is None else steady(scene, known)
-            if known is not None and not state.ok:
-                state = steady(scene)
+            state = steady_near(scene, known)
             if state.ok:
                 known = state
             modes = stability(state) if state.ok and options.stability else None

@@ -291,6 +291,18 @@ def steady(scene: Scene, guess: Steady | None = None) -> Steady:
     return _solved(scene, guess)
 
 
+def steady_near(scene: Scene, known: Steady | None) -> Steady:
+    """The steady state of a scene near a known one; from rest where that does not lead to it.
+
+    On the host: not for scenes that JAX traces.
+    """
+    if known is not None:
+        found = steady(scene, known)
+        if found.ok:
+            return found
+    return steady(scene)
+
+
 @jax.jit
 def _solved(scene: Scene, guess: Steady | None) -> Steady:
     equations = Equations(scene, symmetry_of(scene))

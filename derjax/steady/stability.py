@@ -22,7 +22,7 @@ from ..core.pytree import pytree, replace
 from ..core.status import SolverError
 from ..integrate.step import Scene
 from .motion import imbalance, rates, rotating_acceleration, symmetry_of
-from .solve import Steady, steady
+from .solve import Steady, steady, steady_near
 
 INFINITE = 1e9
 """Eigenvalues (1/s) that are larger over the rate of the motor are those of angles without drag."""
@@ -279,9 +279,7 @@ def threshold(
     known: Steady | None = None
     for count in range(1, most + 1):
         here = scene.replace(**{name: value})
-        state = steady(here) if known is None else steady(here, known)
-        if not state.ok:
-            state = steady(here)
+        state = steady_near(here, known)
         modes = stability(state)
         growth = modes.growth_rate
         if before is None:
