@@ -115,7 +115,7 @@ def twisted(path: Path, moment: float) -> float:
     file = written(path, text)
     scene = build(file)
     state = scene.start
-    run = jax.jit(derjax.roll_frames, static_argnums=(2, 3))
+    run = jax.jit(derjax.march_frames, static_argnums=(2, 3))
     states, report = run(scene, state, file.n_frames, file.steps_per_frame)
     report.raise_if_failed()
     x = np.asarray(positions(scene.rod.topology, states.q))[-1]

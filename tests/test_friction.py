@@ -262,19 +262,19 @@ def test_spinning_rod_drives_itself_sideways_until_it_rolls(spin):
 
 
 def test_distance_of_sliding_by_the_coefficient_of_friction():
-    """Forward and reverse mode, central differences, and -g cos(a) t^2 / 2."""
+    """Its derivative, central differences, and -g cos(a) t^2 / 2."""
     scene, state = on_a_slope(0.8)
-    forward, reverse = (d(lambda mu: slide(scene, state, mu)[0]) for d in (jax.jacfwd, jax.grad))
-    slope, backwards = (float(jax.jit(d)(MU)) for d in (forward, reverse))
+    slope = float(jax.jit(jax.jacfwd(lambda mu: slide(scene, state, mu)[0]))(MU))
     ends = [float(slide(scene, state, MU + s * 1e-4)[0]) for s in (-1, 1)]
-    assert slope == pytest.approx(backwards, rel=1e-10)
     assert slope == pytest.approx((ends[1] - ends[0]) / 2e-4, rel=1e-5)
     assert slope == pytest.approx(-0.5 * np.cos(np.arctan(0.8)), rel=0.02)
 
 
-@pytest.mark.parametrize(("tangent", "above"), [(0.0, 0.0), (0.2, 0.0), (0.2, 0.05), (0.2, 10.0)])
-def test_derivatives_are_finite_without_sliding_and_without_contact(tangent, above):
-    """At rest, while falling on the rails, and far from them; with respect to all numbers."""
+@pytest.mark.parametrize(
+    ("tangent", "above"), [(0.0, 0.0), (0.2, 0.0), (0.8, 0.0), (0.2, 0.05), (0.2, 10.0)]
+)
+def test_derivatives_are_finite_and_the_same_in_both_modes(tangent, above):
+    """At rest, sliding, while falling on the rails, and far from them; by all numbers."""
     scene, state = on_a_slope(tangent, above)
     gradient = gradient_of_slide(scene, state)
     for leaf in jax.tree.leaves(gradient):
@@ -420,7 +420,7 @@ def pressing(scene: Scene, state: State) -> jax.Array:
     assert isinstance(contact, Contact)
     pairs = share(contact, scene.rod, state, scene.step_length)
     local = jax.vmap(pairs.potential.gradient)(state.q[pairs.dofs], pairs.data)
-    force = jnp.where(pairs.taken[:, None], local, 0.0)[:, :6].reshape(-1, 2, 3).sum(axis=1)
+    force = jnp.where(pairs.mask[:, None], local, 0.0)[:, :6].reshape(-1, 2, 3).sum(axis=1)
     return jnp.sum(jnp.sqrt(jnp.sum(force**2, axis=1)))
 
 

@@ -3,12 +3,12 @@
 import os
 from pathlib import Path
 
-import jax
 import jupytext
 import nbformat
 import pytest
 from nbclient import NotebookClient
 from nbformat import NotebookNode
+from quick import environment_of_users
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.py"))
 TIMEOUT = 900
@@ -38,9 +38,7 @@ def test_executed_copy_is_in_sync(path):
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_runs(path, monkeypatch):
     """From top to bottom; each checks its own numbers with assertions."""
-    cache = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
-    if cache and not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
-        monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", cache)
+    monkeypatch.setattr(os, "environ", environment_of_users())
     monkeypatch.delenv("MPLBACKEND", raising=False)
     notebook = jupytext.read(path)
     where = {"metadata": {"path": str(path.parent)}}

@@ -7,13 +7,12 @@ import jax
 import numpy as np
 import pytest
 
-import derjax
-from derjax import SceneFile, build, positions, roll_frames
+from derjax import SceneFile, build, march_frames, positions
 from derjax.results.dataset import to_dataset
 from derjax.results.summary import summarise
 from derjax.scenes.plausibility import USUAL_LENGTHS
 
-rollout = jax.jit(derjax.roll_frames, static_argnums=(2, 3))
+march = jax.jit(march_frames, static_argnums=(2, 3))
 
 SWIMMER = {"robot": {"edge_length": 0.03}, "time": {"end": 0.5}}
 SCENES: dict[str, dict[str, Any]] = {
@@ -72,7 +71,7 @@ def outcome(name: str, size: float, slowness: float) -> Outcome:
     file = scaled(SCENES[name], size, slowness)
     scene = build(file)
     state = scene.start
-    states, report = roll_frames(scene, state, file.n_frames, file.steps_per_frame)
+    states, report = march(scene, state, file.n_frames, file.steps_per_frame)
     report.raise_if_failed()
     trajectory = to_dataset(scene, jax.tree.map(np.asarray, states))
     summary = summarise(trajectory)
@@ -123,7 +122,7 @@ def test_a_bacterium_swims_as_resistive_force_theory_says():
     )
     scene = build(file)
     state = scene.start
-    states, report = roll_frames(scene, state, file.n_frames, file.steps_per_frame)
+    states, report = march(scene, state, file.n_frames, file.steps_per_frame)
     report.raise_if_failed()
     summary = summarise(to_dataset(scene, jax.tree.map(np.asarray, states)))
     assert abs(summary["v_x_m_per_s"]) == pytest.approx(24.6e-6, rel=0.02)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from helpers import acting, potential, rotation
 
-from derjax import RolloutStats, Scene, SceneFile, State, angles, build, positions, roll_frames
+from derjax import RolloutStats, Scene, SceneFile, State, angles, build, march_frames, positions
 from derjax.core.pytree import replace
 from derjax.results.head import head_angular_velocity, head_axis, head_of, head_position, head_spin
 from derjax.rods.kinematics import material_directors, tangents
@@ -27,7 +27,7 @@ RPM = 60.0
 RATE = RPM * 2 * np.pi / 60
 STEP = 1e-2
 N_STEPS = 200
-MOTION = jax.jit(partial(roll_frames, n_frames=N_STEPS, steps_per_frame=1))
+MOTION = jax.jit(partial(march_frames, n_frames=N_STEPS, steps_per_frame=1))
 """Two seconds, every step."""
 
 

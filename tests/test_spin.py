@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from helpers import advance, finite_difference_jvp, share
 
-import derjax
-from derjax import SceneFile, State, angles, build, positions, roll_frames
+from derjax import SceneFile, State, angles, build, march_frames, positions
 from derjax.core.errors import InputError
 from derjax.core.pytree import replace
 from derjax.integrate.step import Scene
@@ -18,7 +17,7 @@ from derjax.rods.rod import transport_frames
 from derjax.scenes.load import load_scene
 from derjax.terms import SpinDrag
 
-rollout = jax.jit(derjax.roll_frames, static_argnums=(2, 3))
+march = jax.jit(march_frames, static_argnums=(2, 3))
 
 LENGTH, RADIUS, MODULUS = 0.1, 1e-2, 1e4
 """Of a thick rod, which whirls after few turns: m, m, Pa."""
@@ -56,7 +55,7 @@ def run(file: SceneFile) -> tuple[Scene, State]:
     """The scene, and the states at its frames."""
     scene = build(file)
     state = scene.start
-    states, report = roll_frames(scene, state, file.n_frames, file.steps_per_frame)
+    states, report = march(scene, state, file.n_frames, file.steps_per_frame)
     report.raise_if_failed()
     return scene, states
 
@@ -143,7 +142,7 @@ def test_spin_drag_slows_the_flagellum_in_every_scheme_and_solver(tables):
     state = scene.start
     turned = []
     for resistance in (0.0, 4 * np.pi * file.robot.rod_radius**2):
-        states, report = roll_frames(
+        states, report = march(
             with_resistance(scene, jnp.asarray(resistance)), state, 1, file.n_steps
         )
         report.raise_if_failed()

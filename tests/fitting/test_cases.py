@@ -11,6 +11,8 @@ from derjax import load_scene
 from derjax.commands.main import main
 from fitting.observe import interpolation
 
+pytestmark = pytest.mark.optimised
+
 SCENE = """
 [robot]
 edge_length = 0.02

@@ -1,0 +1,44 @@
+"""The tests stay quick: what each file was measured to cost is within its budget.
+
+What is compared are stored times, so that no test fails because a computer is busy. After a
+change that makes a file slower or quicker, or for a new file, measure it again, one file or
+all of them, with nothing else running:
+
+    pytest --store-durations tests/test_blocks.py
+"""
+
+import json
+
+import pytest
+from quick import DURATIONS, files_with_tests
+
+BUDGET = 40.0
+"""Seconds of processor time for one file, with nothing compiled."""
+
+LARGER: dict[str, tuple[float, str]] = {}
+"""Files that may take longer, how long, and why."""
+
+ALL = 1000.0
+"""Seconds for all files together: ten minutes on two processors, with what is not tests."""
+
+STORED: dict[str, float] = json.loads(DURATIONS.read_text())
+FILES = [path.relative_to(DURATIONS.parent).as_posix() for path in files_with_tests()]
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_a_file_is_within_its_budget(file):
+    assert file in STORED, f"not measured: pytest --store-durations tests/{file}"
+    budget, _ = LARGER.get(file, (BUDGET, ""))
+    assert STORED[file] <= budget
+
+
+def test_all_files_together_are():
+    assert sum(STORED.values()) <= ALL
+
+
+def test_larger_budgets_are_of_files_that_need_them():
+    for file, (budget, reason) in LARGER.items():
+        assert file in FILES
+        assert reason
+        assert STORED[file] > BUDGET
+        assert budget > BUDGET
