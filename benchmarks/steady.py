@@ -19,6 +19,20 @@ from derjax.steady.solve import steady_near
 from .tables import markdown
 
 RATES = (10.0, 60.0, 100.0, 200.0)
+FORMATS = {
+    "rpm": ".0f",
+    "v_m_per_s": ".5e",
+    "head_rate_rad_per_s": ".5f",
+    "tail_to_head_m": ".6f",
+    "torque_N_m": ".5e",
+    "efficiency": ".4f",
+    "growth_rate_per_s": ".4f",
+    "frequency_per_s": ".5f",
+    "iterations": ".0f",
+    "solved in (s)": ".2f",
+}
+"""Columns of the table."""
+
 CURVE = np.arange(10.0, 231.0, 20.0)
 
 
@@ -58,7 +72,7 @@ def main() -> None:
     figure.savefig(arguments.output / "steady.png", dpi=150)
     text = (
         "# Steady swimming\n\n`python -m benchmarks.steady`: the default robot without inertia.\n\n"
-        f"{markdown(pd.DataFrame(default))}\n"
+        f"{markdown(pd.DataFrame(default), FORMATS)}\n"
         f"Pitch / radius = 5 loses its stability at {limit.value:.4f} rpm.\n"
     )
     (arguments.output / "steady.md").write_text(text, encoding="utf-8")
