@@ -27,6 +27,8 @@ RPM = 60.0
 RATE = RPM * 2 * np.pi / 60
 STEP = 1e-2
 N_STEPS = 200
+LISTED = {"capacity": 120}
+"""Contacts: flagella side by side come close with more pairs of edges than usual robots."""
 MOTION = jax.jit(partial(march_frames, n_frames=N_STEPS, steps_per_frame=1))
 """Two seconds, every step."""
 
@@ -51,6 +53,7 @@ def scene_file(kind: str, rpm, robot: dict | None = None, **tables) -> SceneFile
         "motor": {"rpm": rpm},
         "time": {"step": STEP, "end": N_STEPS * STEP, "scheme": "euler", "inertia": False},
         "friction": {},
+        "contact": LISTED,
         "solver": {"tolerance": 1e-12},
         **tables,
     }
@@ -82,7 +85,7 @@ def unequal() -> Run:
 def touching() -> Run:
     """One rod whose flagella are so close that they come to touch."""
     robot = {"separation": 14.5e-3, "phase": [0.0, 0.5]}
-    return follow(scene_file("two_flagella", RPM, robot, contact={"stiffness": 1e4}))
+    return follow(scene_file("two_flagella", RPM, robot, contact=LISTED | {"stiffness": 1e4}))
 
 
 @pytest.fixture(scope="module")

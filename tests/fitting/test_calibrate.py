@@ -11,8 +11,6 @@ from fitting.model import Model
 from fitting.simulate import Simulator
 from fitting.tracks import Dataset
 
-pytestmark = pytest.mark.optimised
-
 TRUTH = {"C_t": 4.8, "C_r": 0.36}
 """Of the synthetic tracks."""
 

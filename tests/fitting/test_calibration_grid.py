@@ -5,8 +5,6 @@ import pytest
 
 from benchmarks.calibration import TRUTH, Case, fitted, scene_of, track
 
-pytestmark = pytest.mark.optimised
-
 CASES = (
     Case("one", "all", 0.2, (5.0, 0.2), 1),
     Case("one", "angle", 1.0, (5.0, 0.2), 2),

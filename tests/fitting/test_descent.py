@@ -9,8 +9,6 @@ from fitting.descent import descend, track_loss
 from fitting.observe import interpolation
 from fitting.simulate import motor_rate
 
-pytestmark = pytest.mark.optimised
-
 
 def bowl(free):
     return jnp.sum((free - jnp.array([1.0, -0.5])) ** 2), jnp.zeros((), jnp.int32)

@@ -20,8 +20,6 @@ from fitting.calibrate import calibrate
 from fitting.model import Model
 from fitting.simulate import Simulator
 
-pytestmark = pytest.mark.optimised
-
 SCENE = """
 [robot]
 edge_length = 0.03

@@ -12,8 +12,6 @@ from fitting.plausible import course, implausible, runaway
 from fitting.transforms import select_parameters
 from fitting.uncertainty import Residuals
 
-pytestmark = pytest.mark.optimised
-
 NAMES = ("C_t", "youngs_modulus", "poisson_ratio")
 START = {"C_t": 2.0, "youngs_modulus": 1e6, "poisson_ratio": 0.3}
 

@@ -11,8 +11,6 @@ from derjax.io.output import output_directory
 from fitting.calibrate import calibrate
 from fitting.report import as_dict, figure, table, write
 
-pytestmark = pytest.mark.optimised
-
 
 @pytest.fixture(scope="module")
 def fit(dataset):

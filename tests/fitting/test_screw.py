@@ -11,8 +11,6 @@ from fitting.screw import Motion, extended, is_steady, screw
 from fitting.simulate import Simulator
 from fitting.tracks import Dataset, Run
 
-pytestmark = pytest.mark.optimised
-
 STEP, PERIOD = 0.05, 0.83
 AXIS = np.array([0.96, 0.28, 0.0])
 """Of the exact motion; not an axis of coordinates. The period is no whole number of steps."""
