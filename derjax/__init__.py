@@ -60,6 +60,12 @@ from .solve.potential import Load as Load
 from .solve.potential import Mobility as Mobility
 from .solve.potential import Pairs as Pairs
 from .solve.potential import Quadratic as Quadratic
+from .steady.solve import Steady as Steady
+from .steady.solve import steady as steady
+from .steady.stability import Stability as Stability
+from .steady.stability import Threshold as Threshold
+from .steady.stability import stability as stability
+from .steady.stability import threshold as threshold
 from .terms import Bend as Bend
 from .terms import Contact as Contact
 from .terms import Domain as Domain

@@ -103,8 +103,8 @@ print(f"{topology.n_nodes} nodes, {topology.n_edges} edges, {topology.n_dofs} de
 #   + \frac{1}{2h^2}\left|q_1 - q_0 - h v_0\right|_M^2 - f \cdot q_1 ,$$
 #
 # with the elastic energy $E$, the dissipation $\Phi$ of the fluid, inertia, and dead loads $f$.
-# Every term contributes its share. The motor works through $E$: by the end of the step it has
-# added an angle to the natural twist at its place.
+# Every term contributes its share. The motor works through $E$: by the end of the step it
+# has turned the rod at its place by an angle, which bending and twisting are measured from.
 
 
 # %%

@@ -19,6 +19,7 @@ FLOORS = (
     ("shapes", "solve"),
     ("terms",),
     ("integrate",),
+    ("steady",),
     ("scenes",),
     ("results",),
     ("runs",),

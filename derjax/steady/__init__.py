@@ -1,0 +1,1 @@
+"""Steady states: solved for, instead of waited for."""

@@ -1,0 +1,213 @@
+"""Rigid motion of a shape that does not change: what a steady swimmer does.
+
+A flagellum that swims steadily turns and moves as if it were rigid, and so does the head, which in
+addition turns against it with the rate of the motor. With U the velocity of the shape at the origin
+and Omega its angular velocity, a node x moves with U + Omega x x, and an edge with the tangent t
+turns about itself with Omega . t, less the rate of the motor if it is on the head's side of that.
+"""
+
+from functools import cached_property
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..core.errors import InputError
+from ..core.pytree import pytree, static
+from ..integrate.step import Scene, fluid_velocity
+from ..rods.kinematics import positions, tangents
+from ..rods.rod import State, transport_frames
+from ..rods.topology import Topology
+from ..rods.vectors import cross
+from ..solve.potential import Contribution, Dofs
+from ..terms.gravity import Gravity
+from ..terms.term import Stage, contributions, standing
+
+
+@pytree
+class RigidMotion:
+    """A velocity and an angular velocity.
+
+    Attributes:
+        velocity: (3,) m/s, of what is at the origin.
+        rotation: (3,) rad/s.
+    """
+
+    velocity: Float[Array, " 3"]
+    rotation: Float[Array, " 3"]
+
+
+@pytree
+class Symmetry:
+    """In which ways the shape of a scene may move as a whole, and what drives it.
+
+    Attributes:
+        axes: (k, 3) about which it may turn: three of them, one with gravity, none if it is held.
+        moves: whether it may move along.
+        own_spin: (e,) of every edge about itself beyond that of the shape, in units of the motor's
+            rate.
+        driven: (3,) axis about which a held shape is turned by its motor; zero if it is not held.
+    """
+
+    axes: Float[Array, "k 3"]
+    moves: bool = static()
+    own_spin: Float[Array, " e"]
+    driven: Float[Array, " 3"]
+
+    @cached_property
+    def size(self) -> int:
+        """Number of unknowns of the motion."""
+        return len(self.axes) + (3 if self.moves else 0)
+
+    def motion(self, unknowns: Float[Array, " m"], rate: Array) -> RigidMotion:
+        """The motion of the shape, from its unknowns and the rate of the motor (rad/s)."""
+        velocity = unknowns[:3] if self.moves else jnp.zeros(3)
+        turning = unknowns[self.size - len(self.axes) :] @ self.axes
+        return RigidMotion(velocity, turning + rate * self.driven)
+
+
+def symmetry_of(scene: Scene) -> Symmetry:
+    """How the shape of a scene may move.
+
+    Raises:
+        InputError: there is no motor, or there are several, which pass each other; its rate
+            changes in time; or a filament is held at both ends.
+    """
+    topology = scene.rod.topology
+    count = len(topology.motors) + len(topology.driven_edges)
+    if count != 1 or scene.motor is None:
+        raise InputError(
+            f"{count} motors turn: a steady shape needs one; flagella of several motors pass each "
+            "other in every turn, and static shapes are found by derjax.equilibrium"
+        )
+    if scene.motor.time.shape[0] != 1:
+        raise InputError("the rate of the motor changes in time: a steady shape needs one rate")
+    if scene.layout is not None:
+        raise InputError(
+            "a robot in blocks: build the scene with [solver] method = 'dense' for steady shapes"
+        )
+    still = np.zeros(topology.n_edges)
+    if topology.driven_edges:
+        (base,) = topology.driven_edges
+        held = np.flatnonzero(topology.held_edges)
+        if len(held) > 1:
+            raise InputError("a filament that is held at both ends does not turn as a whole")
+        axis = tangents(topology, positions(topology, scene.start.q))[base]
+        return Symmetry(jnp.zeros((0, 3)), False, jnp.asarray(still), axis)
+    axes = jnp.eye(3)
+    weights = [term for term in scene.terms if isinstance(term, Gravity)]
+    if weights:
+        (weight,) = weights
+        size = jnp.linalg.norm(weight.acceleration)
+        axes = (weight.acceleration / size)[None]
+    return Symmetry(axes, True, jnp.asarray(_head_spin(topology)), jnp.zeros(3))
+
+
+def _head_spin(topology: Topology) -> np.ndarray:
+    """(e,): +-1 for edges on the head's side of the motor, by their direction along the rod."""
+    (motor,) = topology.motors
+    spin = np.full(topology.n_edges, np.nan)
+    first, second = topology.hinges[motor]
+    s0, s1 = topology.hinge_signs[motor]
+    on_head = set(topology.head.edges) if topology.head is not None else {first}
+    # Across the motor the second edge turns faster than the first, along the hinge.
+    for start, value in ((first, -s0), (second, s1)):
+        side = np.full(topology.n_edges, np.nan)
+        side[start] = value
+        pending = [start]
+        while pending:
+            known = pending.pop()
+            for h, (a, b) in enumerate(topology.hinges):
+                if h == motor or known not in (a, b):
+                    continue
+                new = b if a == known else a
+                if np.isnan(side[new]):
+                    side[new] = side[known] * np.prod(topology.hinge_signs[h])
+                    pending.append(new)
+        reached = ~np.isnan(side)
+        spin[reached] = side[reached] if on_head & set(np.flatnonzero(reached)) else 0.0
+    return spin
+
+
+def rates(scene: Scene, symmetry: Symmetry, q: Dofs, motion: RigidMotion, rate: Array) -> Dofs:
+    """(d,) m/s and rad/s: how all degrees of freedom change in a rigid motion of the shape `q`."""
+    topology = scene.rod.topology
+    x = positions(topology, q)
+    spin = tangents(topology, x) @ motion.rotation + symmetry.own_spin * rate
+    turning = cross(jnp.broadcast_to(motion.rotation, x.shape), x)
+    return jnp.concatenate([(motion.velocity + turning).ravel(), spin])
+
+
+def state_at(scene: Scene, q: Dofs) -> State:
+    """The state in which the scene's rod is at `q`, its frames carried there from the start."""
+    return transport_frames(scene.rod, scene.start, q)
+
+
+def imbalance(scene: Scene, q: Dofs, velocity: Dofs, acceleration: Dofs) -> Dofs:
+    """(d,) N and N m: what is left of all forces, with the sign of a potential's gradient.
+
+    Every term is asked in the frames of the rod at `q`, so that forces and rates are those of one
+    set of frames.
+
+    Args:
+        scene: whose terms.
+        q: (d,) m and rad.
+        velocity: (d,) m/s and rad/s.
+        acceleration: (d,) m/s^2 and rad/s^2.
+
+    Raises:
+        InputError: a term that forces are not known of.
+    """
+    state = state_at(scene, q)
+    stage = Stage(
+        length=jnp.ones(()),
+        time=state.time,
+        motor_angle=state.motor_angle,
+        origin=state.q - velocity,
+        velocity=velocity - acceleration,
+        fluid_velocity=fluid_velocity(scene, state.q, state.time),
+    )
+    total = jnp.zeros_like(q)
+    prediction = standing(state, scene.terms)
+    for part in contributions(scene.terms, scene.rod, state, stage, prediction):
+        if not isinstance(part, Contribution):
+            raise InputError("a robot in blocks: build it with [solver] method = 'dense'")
+        total = total + part.gradient(state.q)
+    return total
+
+
+def steady_imbalance(
+    scene: Scene, symmetry: Symmetry, q: Dofs, unknowns: Float[Array, " m"], rate: Array
+) -> Dofs:
+    """`imbalance` in a rigid motion of the shape `q`, inertia of the turning frame included."""
+    motion = symmetry.motion(unknowns, rate)
+    velocity = rates(scene, symmetry, q, motion, rate)
+    return imbalance(scene, q, velocity, rotating_acceleration(scene, motion, velocity))
+
+
+def rotating_acceleration(scene: Scene, motion: RigidMotion, velocity: Dofs) -> Dofs:
+    """(d,) m/s^2 and rad/s^2: how the rates of a rigid motion change as it turns."""
+    n = 3 * scene.rod.topology.n_nodes
+    at_nodes = velocity[:n].reshape(-1, 3)
+    turning = cross(jnp.broadcast_to(motion.rotation, at_nodes.shape), at_nodes)
+    return jnp.concatenate([turning.ravel(), jnp.zeros(len(velocity) - n)])
+
+
+def gauge(scene: Scene, symmetry: Symmetry, q: Dofs) -> Float[Array, " m"]:
+    """Where the shape is and how it is turned: zero at the start. Dimensionless.
+
+    The part of the displacement from the start that is a rigid motion of it, lengths in units of
+    that of the rod.
+    """
+    start, still = scene.start.q, jnp.zeros(())
+    length = jnp.sum(scene.rod.rest_length)
+    n = 3 * scene.rod.topology.n_nodes
+    unit = jnp.where(np.arange(q.size) < n, length, 1.0)
+
+    def generator(unknowns: Float[Array, " m"]) -> Dofs:
+        return rates(scene, symmetry, start, symmetry.motion(unknowns, still), still)
+
+    generators = jax.vmap(generator)(jnp.eye(symmetry.size)) / unit
+    generators = generators / jnp.linalg.norm(generators, axis=1, keepdims=True)
+    return generators @ ((q - start) / unit)

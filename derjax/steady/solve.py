@@ -1,0 +1,347 @@
+"""Steady swimming, solved for by Newton's method along growing rates of the motor."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.scipy.linalg import lu_factor, lu_solve
+from jaxtyping import Array, Float, Int
+
+from ..core.pytree import pytree, replace
+from ..core.status import SolverError, Status
+from ..integrate.step import Scene
+from ..rods.kinematics import positions, tangents
+from ..rods.rod import State
+from .motion import (
+    RigidMotion,
+    Symmetry,
+    gauge,
+    rates,
+    rotating_acceleration,
+    state_at,
+    steady_imbalance,
+    symmetry_of,
+)
+
+MOST_MATRICES, MOST_TRIES = 8, 40
+"""Of Newton's method for one rate of the motor, before a smaller increment is tried."""
+
+CONTRACTION = 0.2
+"""By how much the residual must fall in a step for the matrix to be kept."""
+
+FIRST, SMALLEST = 0.5, 1e-4
+"""Increments of the motor's rate, as parts of it: the first, and the one that is given up at."""
+
+GROWTH, SHRINK = 2.0, 0.25
+"""Of the increment, after one that converged and one that did not."""
+
+ROUNDING = 100.0
+"""Times the tolerance: where rounding leaves no smaller residual, it is small enough."""
+
+
+@pytree
+class Steady:
+    """A steady state: a shape that moves as a whole.
+
+    Attributes:
+        state: the rod, its velocity, and frames that have been carried from the start.
+        motion: of the shape.
+        motor_rate: rad/s.
+        status: `Status.OK`, or why there is none.
+        iterations: of Newton's method.
+        residual: largest scaled force that is left.
+        scene: whose steady state it is.
+    """
+
+    state: State
+    motion: RigidMotion
+    motor_rate: Float[Array, ""]
+    status: Int[Array, ""]
+    iterations: Int[Array, ""]
+    residual: Float[Array, ""]
+    scene: Scene
+
+    @property
+    def ok(self) -> bool:
+        """Whether there is a steady state."""
+        return bool(self.status == Status.OK)
+
+    def raise_if_failed(self) -> None:
+        """Raise `SolverError` with the rate that was reached, and what to try, if there is none."""
+        if not self.ok:
+            reached = float(self.motor_rate) * 60 / (2 * np.pi)
+            raise SolverError(
+                f"no steady state was found beyond {reached:.6g} rpm (scaled residual "
+                f"{float(self.residual):.2e}): the branch may turn back there. Try "
+                "a slower motor, or another start of the search (guess)."
+            )
+
+    @property
+    def positions(self) -> Float[Array, "n 3"]:
+        """m, of the nodes."""
+        return positions(self.scene.rod.topology, self.state.q)
+
+    @property
+    def axis(self) -> Float[Array, " 3"]:
+        """Direction of the rotation of the shape; that of the start if it does not turn."""
+        rotation = self.motion.rotation
+        square = jnp.sum(rotation**2)
+        turns = square > 0.0
+        size = jnp.sqrt(jnp.where(turns, square, 1.0))
+        first = tangents(self.scene.rod.topology, self.positions)[0]
+        return jnp.where(turns, rotation / size, first)
+
+    @property
+    def speed(self) -> Float[Array, ""]:
+        """m/s, along the axis of rotation: how fast the robot gets on."""
+        return self.motion.velocity @ self.axis
+
+    @property
+    def head_rate(self) -> Float[Array, ""]:
+        """rad/s, at which the head turns about its own axis."""
+        topology = self.scene.rod.topology
+        if topology.head is None:
+            return jnp.zeros(())
+        spins = self.state.velocity[topology.edge_dofs(topology.head.edges)]
+        return jnp.mean(spins)
+
+    @property
+    def tail_to_head(self) -> Float[Array, ""]:
+        """m, from the first node to the last."""
+        return jnp.linalg.norm(self.positions[-1] - self.positions[0])
+
+
+@pytree
+class _Point:
+    """A place on the way to the rate of the motor.
+
+    Attributes:
+        z: (d + m,) degrees of freedom that are free, then unknowns of the motion.
+        part: of the motor's rate.
+    """
+
+    z: Array
+    part: Array
+
+
+class Equations:
+    """The equations of a steady state of a scene, in the unknowns that are free."""
+
+    def __init__(self, scene: Scene, symmetry: Symmetry) -> None:
+        topology = scene.rod.topology
+        self.scene, self.symmetry = scene, symmetry
+        self.free = np.setdiff1d(np.arange(topology.n_dofs), topology.fixed_dofs)
+
+    def start(self) -> Array:
+        """At rest, where the scene starts."""
+        return jnp.concatenate([self.scene.start.q[self.free], jnp.zeros(self.symmetry.size)])
+
+    def split(self, z: Array) -> tuple[Array, Array]:
+        """All degrees of freedom, and the unknowns of the motion."""
+        count = len(self.free)
+        return self.scene.start.q.at[self.free].set(z[:count]), z[count:]
+
+    def rate(self, part: Array | float) -> Array:
+        """rad/s, of the motor."""
+        assert self.scene.motor is not None
+        return part * self.scene.motor.rate[0, 0]
+
+    def residual(self, z: Array, part: Array | float = 1.0) -> Array:
+        """What should vanish, dimensionless: forces in the solver's units, and the gauge."""
+        q, unknowns = self.split(z)
+        force = steady_imbalance(self.scene, self.symmetry, q, unknowns, self.rate(part))
+        unit = lax.stop_gradient(self.scene.newton.force_scale)
+        scaled = (force / unit)[self.free]
+        return jnp.concatenate([scaled, gauge(self.scene, self.symmetry, q)])
+
+
+def _size(residual: Array) -> Array:
+    """The largest of the residuals; infinite if one is not a number."""
+    worst = jnp.max(jnp.abs(residual))
+    return jnp.where(jnp.isfinite(worst), worst, jnp.inf)
+
+
+@pytree
+class _Iterate:
+    """Newton's method on the way.
+
+    Attributes:
+        z: unknowns.
+        residual: at z.
+        size: the largest of them.
+        factor: (LU, pivots) of the matrix.
+        renew: whether the matrix is to be found anew, at z.
+        count: matrices so far.
+        tries: steps so far.
+        stalled: whether rounding leaves no smaller residual.
+    """
+
+    z: Array
+    residual: Array
+    size: Array
+    factor: tuple[Array, Array]
+    renew: Array
+    count: Array
+    tries: Array
+    stalled: Array
+
+
+def newton(
+    equations: Equations,
+    guess: Array,
+    part: Array,
+    tolerance: Array,
+) -> _Iterate:
+    """Newton's method from a guess. A matrix is kept for as long as it serves.
+
+    Full steps: stretching is so stiff that the size of the residual says little of the error, and
+    a line search by it stalls.
+    """
+
+    def matrix(z: Array) -> tuple[Array, Array]:
+        return lu_factor(jax.jacfwd(equations.residual)(z, part))
+
+    def going(now: _Iterate) -> Array:
+        unfinished = (now.size > tolerance) & ~now.stalled & jnp.isfinite(now.size)
+        return unfinished & (now.count <= MOST_MATRICES) & (now.tries < MOST_TRIES)
+
+    def step(now: _Iterate) -> _Iterate:
+        factor = lax.cond(now.renew, lambda: matrix(now.z), lambda: now.factor)
+        z = now.z - lu_solve(factor, now.residual)
+        residual = equations.residual(z, part)
+        size = _size(residual)
+        falls = size <= CONTRACTION * now.size
+        taken = falls | now.renew
+        z, residual, size = (
+            jnp.where(taken, new, old)
+            for new, old in ((z, now.z), (residual, now.residual), (size, now.size))
+        )
+        stalled = taken & ~falls & (size <= ROUNDING * tolerance)
+        count = now.count + now.renew.astype(jnp.int32)
+        return _Iterate(z, residual, size, factor, ~falls, count, now.tries + 1, stalled)
+
+    residual = equations.residual(guess, part)
+    zero = jnp.zeros((), jnp.int32)
+    none = jnp.zeros((guess.size, guess.size)), jnp.zeros(guess.size, jnp.int32)
+    yes, no = jnp.array(True), jnp.array(False)
+    start = _Iterate(guess, residual, _size(residual), none, yes, zero, zero, no)
+    return lax.while_loop(going, step, start)
+
+
+@jax.jit
+def _followed(scene: Scene, guess: Array | None) -> tuple[Array, Array, Array, Array, Array]:
+    """The unknowns of the steady state, the part of the rate that was reached, and how it went."""
+    equations = Equations(scene, symmetry_of(scene))
+    tolerance, one = scene.newton.tolerance, jnp.ones(())
+
+    def good(found: _Iterate) -> Array:
+        return found.size <= ROUNDING * tolerance
+
+    if guess is not None:
+        found = newton(equations, guess, one, tolerance)
+        status = jnp.where(good(found), Status.OK, Status.MAX_ITERATIONS).astype(jnp.int32)
+        return found.z, one, status, found.tries, found.size
+
+    def going(carry):
+        _, now, increment, *_ = carry
+        return (now.part < 1.0) & (increment >= SMALLEST)
+
+    def attempt(carry):
+        before, now, increment, tries, _ = carry
+        part = jnp.minimum(now.part + increment, 1.0)
+        known = now.part > before.part
+        ahead = jnp.where(known, (part - now.part) / (now.part - before.part), 0.0)
+        guess = now.z + ahead * (now.z - before.z)
+        found = newton(equations, guess, part, tolerance)
+        chosen = good(found)
+        there, behind = jax.tree.map(
+            lambda a, b: jnp.where(chosen, a, b), (_Point(found.z, part), now), (now, before)
+        )
+        increment = increment * jnp.where(chosen, GROWTH, SHRINK)
+        return behind, there, increment, tries + found.tries, found.size
+
+    rest = _Point(equations.start(), jnp.zeros(()))
+    zero = jnp.zeros((), jnp.int32)
+    carry = (rest, rest, jnp.array(FIRST), zero, jnp.zeros(()))
+    _, end, _, tries, size = lax.while_loop(going, attempt, carry)
+    status = jnp.where(end.part >= 1.0, Status.OK, Status.MAX_ITERATIONS).astype(jnp.int32)
+    return end.z, end.part, status, tries, size
+
+
+def steady(scene: Scene, guess: Steady | None = None) -> Steady:
+    """The steady state of a robot with one flagellum, or of one filament on a fixed motor.
+
+    A relative equilibrium: the shape turns and moves as a whole. It is found by Newton's method,
+    from rest and along growing rates of the motor, and may be unstable (see `derjax.stability`).
+    Differentiable in forward and reverse mode, to any order, by the implicit function theorem.
+
+    Args:
+        scene: with one motor of constant rate.
+        guess: the steady state of a scene that differs a little: quicker.
+
+    Returns:
+        With a status; where there is no steady state at the motor's rate, the last one before it.
+
+    Raises:
+        InputError: the scene cannot swim steadily, such as one with several flagella.
+    """
+    symmetry_of(scene)  # complains before anything is compiled
+    return _solved(scene, guess)
+
+
+def steady_near(scene: Scene, known: Steady | None) -> Steady:
+    """The steady state of a scene near a known one; from rest where that does not lead to it.
+
+    On the host: not for scenes that JAX traces.
+    """
+    if known is not None:
+        found = steady(scene, known)
+        if found.ok:
+            return found
+    return steady(scene)
+
+
+@jax.jit
+def _solved(scene: Scene, guess: Steady | None) -> Steady:
+    equations = Equations(scene, symmetry_of(scene))
+    known = None if guess is None else _unknowns(equations, guess)
+    found, part, status, tries, size = _followed(*lax.stop_gradient((scene, known)))
+
+    def linear(tangent: Any, y: Array) -> Array:
+        return jnp.linalg.solve(jax.jacobian(tangent)(jnp.zeros_like(y)), y)
+
+    z = lax.custom_root(
+        lambda z: equations.residual(z, part), found, lambda _, there: there, linear
+    )
+    return _steady(equations, z, part, status, tries, size)
+
+
+def _unknowns(equations: Equations, known: Steady) -> Array:
+    q = unwrapped(known.state)
+    motion = known.motion
+    symmetry = equations.symmetry
+    unknowns = [motion.velocity] if symmetry.moves else []
+    unknowns.append(symmetry.axes @ motion.rotation)
+    return jnp.concatenate([q[equations.free], *unknowns])
+
+
+def unwrapped(state: State) -> Array:
+    """Degrees of freedom with the whole turns that have been taken out of angles."""
+    n = state.q.size - state.turns.size
+    return state.q.at[n:].add(2 * jnp.pi * state.turns)
+
+
+def _steady(
+    equations: Equations, z: Array, part: Array, status: Array, iterations: Array, size: Array
+) -> Steady:
+    scene, symmetry = equations.scene, equations.symmetry
+    q, unknowns = equations.split(z)
+    rate = equations.rate(part)
+    motion = symmetry.motion(unknowns, rate)
+    state = state_at(scene, q)
+    velocity = rates(scene, symmetry, q, motion, rate)
+    acceleration = rotating_acceleration(scene, motion, velocity)
+    state = replace(state, velocity=velocity, acceleration=acceleration)
+    return Steady(state, motion, rate, status, iterations, size, scene)

@@ -1,0 +1,298 @@
+"""Whether a steady state is stable: growth rates, modes, and where they change sign.
+
+A small displacement xi of the turning shape obeys D dxi/dt = -J xi, with J the derivative of the
+imbalance of forces by the shape, that of the rigid velocities included, and D its derivative by the
+rates. So exp(lambda t) needs -J xi = lambda D xi, a generalised eigenproblem: most angles have no
+drag, and with it no finite eigenvalue. Rigid motions of the shape have the eigenvalues 0 and, as
+seen from the turning shape, +-i |Omega|. Masses count for the balance of the steady state, but not
+for how displacements from it decay.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Complex, Float
+
+from ..core.pytree import pytree, replace
+from ..core.status import SolverError
+from ..integrate.step import Scene
+from .motion import imbalance, rates, rotating_acceleration, symmetry_of
+from .solve import Steady, steady, steady_near
+
+INFINITE = 1e9
+"""Eigenvalues (1/s) that are larger over the rate of the motor are those of angles without drag."""
+
+FIRST_STEP, LONGEST_STEP = 0.02, 0.3
+"""Of the search for a threshold, over the value itself."""
+
+RIGID = 1e-5
+"""How far from those of rigid motions, over the rate of rotation, their eigenvalues may be."""
+
+
+@pytree
+class Linearisation:
+    """What a steady state's shape resists small changes with, on the free degrees of freedom.
+
+    Attributes:
+        stiffness: (f, f) J, N/m and so on.
+        drag: (f, f) D, N s/m and so on.
+    """
+
+    stiffness: Float[Array, "f f"]
+    drag: Float[Array, "f f"]
+
+
+@dataclass(frozen=True)
+class Stability:
+    """How small displacements of a steady state grow.
+
+    Attributes:
+        state: the steady state.
+        eigenvalues: (m,) 1/s, of all modes but rigid motions, the fastest growing first; those in
+            the upper half of the complex plane.
+        modes: (m, d) displacements (m, rad) of all degrees of freedom, in the turning frame.
+        left: (m, d) the left eigenvectors, which derivatives of eigenvalues need.
+        rigid_error: largest error of the eigenvalues of rigid motions, over the rate of rotation.
+    """
+
+    state: Steady
+    eigenvalues: Complex[np.ndarray, " m"]
+    modes: Complex[np.ndarray, "m d"]
+    left: Complex[np.ndarray, "m d"]
+    rigid_error: float
+
+    def mode(self, number: int = 0) -> "Mode":
+        """One of the modes, for derivatives of its eigenvalue."""
+        parts = self.eigenvalues[number], self.modes[number], self.left[number]
+        return Mode(self.state, *(jnp.asarray(part) for part in parts))
+
+    @property
+    def growth_rate(self) -> float:
+        """1/s, of the mode that grows fastest, or decays slowest."""
+        return float(self.eigenvalues[0].real)
+
+    @property
+    def frequency(self) -> float:
+        """1/s, of that mode as seen from the turning shape."""
+        return float(self.eigenvalues[0].imag) / (2 * np.pi)
+
+    @property
+    def laboratory_frequency(self) -> float:
+        """1/s, of that mode in the laboratory, where the shape turns beneath it."""
+        turning = float(jnp.linalg.norm(self.state.motion.rotation))
+        return (float(self.eigenvalues[0].imag) - turning) / (2 * np.pi)
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether every mode decays."""
+        return self.growth_rate < 0.0
+
+
+def _imbalance_by(state: Steady, q: Array, extra: Array) -> Array:
+    """The imbalance at a shape that moves as the steady one does, and `extra` (m/s, rad/s)."""
+    # Carried from the state itself, frames do not turn to first order, and the rate of an angle is
+    # the physical spin of its edge. Carried from elsewhere they would.
+    scene = replace(state.scene, initial=state.state)
+    symmetry = symmetry_of(scene)
+    velocity = rates(scene, symmetry, q, state.motion, state.motor_rate)
+    acceleration = rotating_acceleration(scene, state.motion, velocity)
+    return imbalance(scene, q, velocity + extra, acceleration)
+
+
+def _free(scene: Scene) -> np.ndarray:
+    return np.setdiff1d(np.arange(scene.rod.topology.n_dofs), scene.rod.topology.fixed_dofs)
+
+
+@jax.jit
+def linearisation(state: Steady) -> Linearisation:
+    """The matrices of small displacements from a steady state."""
+    q, still = state.state.q, jnp.zeros_like(state.state.q)
+    free = _free(state.scene)
+    by_shape = jax.jacfwd(lambda x: _imbalance_by(state, x, still))(q)
+    by_rate = jax.jacfwd(lambda v: _imbalance_by(state, q, v))(still)
+    return Linearisation(by_shape[free][:, free], by_rate[free][:, free])
+
+
+def stability(state: Steady) -> Stability:
+    """The modes of a steady state, on the host.
+
+    Raises:
+        SolverError: the state is not one, or its rigid motions are not found among the modes.
+    """
+    import scipy.linalg  # here, for importing derjax to stay quick
+
+    state.raise_if_failed()
+    matrices = linearisation(state)
+    stiffness, drag = np.asarray(matrices.stiffness), np.asarray(matrices.drag)
+    unit = np.asarray(state.scene.newton.force_scale)[_free(state.scene)]
+    stiffness, drag = stiffness / unit[:, None], drag / unit[:, None]
+    found: Any = scipy.linalg.eig(-stiffness, drag, left=True, right=True, homogeneous_eigvals=True)
+    (alpha, beta), left, right = found
+    turning = float(jnp.linalg.norm(state.motion.rotation))
+    pace = max(turning, abs(float(state.motor_rate)), 1e-300)
+    finite = np.abs(alpha) < INFINITE * pace * np.abs(beta)
+    values, left, right = alpha[finite] / beta[finite], left[:, finite], right[:, finite]
+    keep, error = _without_rigid(values, state, turning)
+    keep &= values.imag >= 0.0
+    order = np.flatnonzero(keep)[np.argsort(-values[keep].real)]
+    size, free = state.scene.rod.topology.n_dofs, _free(state.scene)
+
+    def whole(vectors: np.ndarray) -> np.ndarray:
+        full = np.zeros((len(order), size), complex)
+        full[:, free] = vectors[:, order].T
+        return full
+
+    # The left eigenvectors were those of rows in the solver's units.
+    return Stability(state, values[order], whole(right), whole(left / unit[:, None]), error)
+
+
+def _without_rigid(values: np.ndarray, state: Steady, turning: float) -> tuple[np.ndarray, float]:
+    """Which modes are no rigid motions, and the largest error of those that are."""
+    symmetry = symmetry_of(state.scene)
+    keep, worst = np.ones(len(values), bool), 0.0
+    if not symmetry.moves:
+        return keep, worst
+    around = [1j * turning, -1j * turning]
+    expected = [0.0, 0.0, *around, *(around if len(symmetry.axes) == 3 else [])]
+    for target in expected:
+        distance = np.where(keep, np.abs(values - target), np.inf)
+        found = int(np.argmin(distance))
+        worst = max(worst, float(distance[found]) / turning)
+        keep[found] = False
+    # Pairs of equal eigenvalues with one direction of motion are found to the root of rounding.
+    if worst > np.sqrt(RIGID):
+        raise SolverError(
+            f"the modes of rigid motion are off by {worst:.1e} of the rate of rotation: something "
+            "acts on the robot that is not the same in all directions, or the state is not steady"
+        )
+    return keep, worst
+
+
+@pytree
+class Mode:
+    """One mode of a steady state.
+
+    Attributes:
+        state: the steady state.
+        eigenvalue: 1/s.
+        right: (d,) displacement (m, rad) in the turning frame.
+        left: (d,) the left eigenvector.
+    """
+
+    state: Steady
+    eigenvalue: Complex[Array, ""]
+    right: Complex[Array, " d"]
+    left: Complex[Array, " d"]
+
+
+def eigenvalue(scene: Scene, known: Mode) -> Array:
+    """The eigenvalue (1/s, complex) of a mode, as a function of the numbers of the scene.
+
+    Right at the scene for which the mode is known, and so is its first derivative: perturbation
+    theory, `w (dJ + lambda dD) xi / (w D xi)`, with the change of the steady state in it.
+
+    Args:
+        scene: with the same numbers as `known.state.scene`, which JAX may trace.
+        known: the mode at these numbers.
+    """
+    value, xi, w = lax.stop_gradient((known.eigenvalue, known.right, known.left.conj()))
+    state = steady(scene, guess=lax.stop_gradient(known.state))
+    q, still = state.state.q, jnp.zeros_like(state.state.q)
+
+    def along(direction: Array) -> tuple[Array, Array]:
+        _, by_shape = jax.jvp(lambda x: _imbalance_by(state, x, still), (q,), (direction,))
+        _, by_rate = jax.jvp(lambda v: _imbalance_by(state, q, v), (still,), (direction,))
+        return by_shape, by_rate
+
+    real, imaginary = along(xi.real), along(xi.imag)
+    by_shape, by_rate = (a + 1j * b for a, b in zip(real, imaginary, strict=True))
+    return value - (w @ (by_shape + value * by_rate)) / lax.stop_gradient(w @ by_rate)
+
+
+def growth_slopes(known: Stability, names: Sequence[str], mode: int = 0) -> dict[str, float]:
+    """Derivatives of the growth rate of a mode (1/s) by parameters of the scene, by name."""
+    slopes = _growth_slopes(
+        {name: known.state.scene.parameters[name] for name in names}, known.mode(mode)
+    )
+    return {name: float(slopes[name]) for name in names}
+
+
+@jax.jit
+def _growth_slopes(numbers: dict[str, Array], known: Mode) -> dict[str, Array]:
+    def growth(numbers: dict[str, Array]) -> Array:
+        return eigenvalue(known.state.scene.replace(**numbers), known).real
+
+    return jax.jacfwd(growth)(numbers)
+
+
+@dataclass(frozen=True)
+class Threshold:
+    """Where a steady state loses its stability.
+
+    Attributes:
+        name: of the parameter that was varied.
+        value: of it, where the growth rate vanishes.
+        stability: there.
+        iterations: steady states that were looked at.
+    """
+
+    name: str
+    value: float
+    stability: Stability
+    iterations: int
+
+    def derivatives(self, names: Sequence[str]) -> dict[str, float]:
+        """How the threshold moves with other parameters: d(threshold) / d(parameter).
+
+        Exact, by perturbation theory; the first call compiles for about a minute.
+        """
+        slopes = growth_slopes(self.stability, [self.name, *names])
+        return {name: -slopes[name] / slopes[self.name] for name in names}
+
+
+def threshold(
+    scene: Scene,
+    name: str = "rpm",
+    start: float | None = None,
+    tolerance: float = 1e-9,
+    most: int = 30,
+) -> Threshold:
+    """Where the growth rate of the leading mode vanishes, by secants.
+
+    Args:
+        scene: a robot that swims steadily.
+        name: of the parameter that is varied.
+        start: value to start from; None for that of the scene.
+        tolerance: relative change of the value at which it is found.
+        most: steady states that are looked at.
+
+    Raises:
+        SolverError: no threshold was found, or no steady state on the way to it.
+    """
+    value = float(scene.parameters[name] if start is None else start)
+    before: tuple[float, float] | None = None
+    known: Steady | None = None
+    for count in range(1, most + 1):
+        here = scene.replace(**{name: value})
+        state = steady_near(here, known)
+        modes = stability(state)
+        growth = modes.growth_rate
+        if before is None:
+            step = FIRST_STEP * abs(value)
+        else:
+            step = -growth * (value - before[0]) / (growth - before[1])
+            step = float(np.clip(step, -LONGEST_STEP * abs(value), LONGEST_STEP * abs(value)))
+            if abs(step) <= tolerance * abs(value):
+                return Threshold(name, value, modes, count)
+        before, known = (value, growth), state
+        value += step
+    raise SolverError(
+        f"the growth rate has not vanished in {most} steady states: near {name} = {value:.6g} it "
+        f"is {before[1] if before else float('nan'):.3g} 1/s. Try another start, or look at it "
+        f"over {name} first."
+    )
