@@ -15,6 +15,9 @@ from helpers import finite_difference_jvp, rotation
 
 from derjax.terms.contact.segments import Near, between, closest, distance, near
 
+# Rounding of nearly degenerate pairs shows in derivatives, and more of it without optimisation.
+pytestmark = pytest.mark.optimised
+
 SOFTNESS = 0.01
 N = 10_000
 LONG = np.longdouble
