@@ -141,9 +141,9 @@ def test_a_held_tip_is_one_more_edge_in_line(shape):
         x = np.asarray(positions(two, held.start.q))[list(path)]
         np.testing.assert_allclose(x[-1] - x[-2], x[-2] - x[-3], atol=1e-15)
         ends = [3 * node + axis for node in (*path[:2], *path[-2:]) for axis in range(3)]
-        assert set(ends) <= set(two.clamped)
-    angles = {dof for dof in two.clamped if dof >= 3 * two.n_nodes}
-    assert len(two.clamped) - len(angles) == 2 * 4 * 3
+        assert set(ends) <= set(two.fixed_dofs)
+    angles = {dof for dof in two.fixed_dofs if dof >= 3 * two.n_nodes}
+    assert len(two.fixed_dofs) - len(angles) == 2 * 4 * 3
     tips = two.edge_dofs([two.edges.index(path[-2:]) for path in two.filaments])
     assert angles == {*two.edge_dofs(two.driven_edges).tolist(), *tips.tolist()}
 

@@ -43,6 +43,8 @@ def geometry_of(scene: SceneFile, p: Mapping[str, Array]) -> RobotGeometry:
         p: its parameters, or others: those of the shape are needed.
     """
     geometry = _joined(scene, p)
+    if not geometry.topology.motors:
+        return geometry
     topology = replace(geometry.topology, motor_hinge=scene.motor.hinge)
     return geometry._replace(topology=topology)
 
