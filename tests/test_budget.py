@@ -12,10 +12,17 @@ import json
 import pytest
 from quick import DURATIONS, files_with_tests
 
-BUDGET = 40.0
+BUDGET = 60.0
 """Seconds of processor time for one file, with nothing compiled."""
 
-LARGER: dict[str, tuple[float, str]] = {}
+LARGER: dict[str, tuple[float, str]] = {
+    "test_blocks.py": (140.0, "four kinds of robot, by two solvers that share no program"),
+    "test_notebooks.py": (120.0, "all that the notebook does, in a process of its own"),
+    "test_readme.py": (120.0, "the calibration that README promises, on its own mesh"),
+    "test_contact_gradients.py": (100.0, "both modes through 500 steps in contact"),
+    "test_batch.py": (90.0, "derivatives of a batch, and processes that compile for themselves"),
+    "fitting/test_cases.py": (80.0, "fits from files that were read wrongly search for causes"),
+}
 """Files that may take longer, how long, and why."""
 
 ALL = 1000.0
