@@ -1,6 +1,9 @@
 """Results are those of the numbers that were run, wherever they came from."""
 
 import json
+import os
+import subprocess
+import sys
 from typing import Any
 
 import jax
@@ -233,3 +236,21 @@ def test_rates_of_a_motor_table_are_overridden_together(tmp_path):
     write(dataset, tmp_path / "trajectory.nc")
     with pytest.raises(InputError, match="rpm"):
         build(file, {"rpm": [[2e7, 0.0], [0.0, 0.0]]})
+
+
+def test_what_names_a_compiled_program_is_the_same_in_every_process():
+    """Check sums are part of what `build` returns, and so of the name under which it is kept."""
+    program = (
+        "import derjax as dj; print(sorted(dj.build(dj.robots.single_flagellum()).check_sums))"
+    )
+    said = {
+        subprocess.run(
+            [sys.executable, "-c", program],
+            env=os.environ | {"PYTHONHASHSEED": seed},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in ("1", "2")
+    }
+    assert len(said) == 1

@@ -4,6 +4,7 @@ A scene keeps the numbers that it was built of (`Scene.parameters`). Its terms m
 afterwards; then those numbers are not all that there is to say, and results should tell so.
 """
 
+import zlib
 from collections.abc import Sequence
 
 import jax
@@ -37,7 +38,9 @@ def for_enlarged(sums: CheckSums, terms: Sequence[Term], enlarged: Sequence[Term
 
 def _kind(term: Term) -> tuple[str, int]:
     """The name of a term's type, and a number for all that is no leaf of it."""
-    return type(term).__name__, hash(jax.tree.structure(term))
+    # Not its hash, which is another one in every process: the compiled program that builds a scene
+    # is kept under a name that has this number in it.
+    return type(term).__name__, zlib.crc32(repr(jax.tree.structure(term)).encode())
 
 
 def changed(terms: Sequence[Term], built: CheckSums) -> tuple[str, ...]:
