@@ -23,7 +23,6 @@ LARGER: dict[str, tuple[float, str]] = {
     "test_contact_gradients.py": (100.0, "both modes through 500 steps in contact"),
     "test_batch.py": (90.0, "derivatives of a batch, and processes that compile for themselves"),
     "fitting/test_calibrate.py": (80.0, "many fits, each of a program of its own"),
-    "test_effects.py": (65.0, "builds a scene for every key of every kind of scene"),
     "test_friction.py": (65.0, "ropes around drums, and derivatives while sliding"),
 }
 """Files that may take longer, how long, and why."""
