@@ -226,6 +226,25 @@ def fluid_velocity(scene: Scene, q: Dofs, time: Array) -> Dofs | None:
     return jnp.concatenate([jax.vmap(flow)(nodes).ravel(), spin])
 
 
+def moving_stage(scene: Scene, state: State, velocity: Dofs, acceleration: Dofs) -> Stage:
+    """A stage of unit length that ends where the state is: forces at one moment of a motion.
+
+    Args:
+        scene: whose fluid may flow.
+        state: where the rod is.
+        velocity: (d,) m/s and rad/s.
+        acceleration: (d,) m/s^2 and rad/s^2.
+    """
+    return Stage(
+        length=jnp.ones(()),
+        time=state.time,
+        motor_angle=state.motor_angle,
+        origin=state.q - velocity,
+        velocity=velocity - acceleration,
+        fluid_velocity=fluid_velocity(scene, state.q, state.time),
+    )
+
+
 def motor_rotation(scene: Scene, state: State, length: Array) -> Float[Array, " k"]:
     """Angle (rad) that the motors turn in the next `length` (s)."""
     if scene.motor is None:
@@ -269,7 +288,7 @@ def solve(
         guess = guess.at[dofs].set(state.q[dofs] + turn, unique_indices=True)
     free = None
     if topology.fixed_dofs:
-        free = tuple(np.setdiff1d(np.arange(topology.n_dofs), topology.fixed_dofs).tolist())
+        free = tuple(topology.free_dofs.tolist())
     if scene.layout is None:
         _check_no_mobility(mobilities)
         q, info = equilibrium(potential, guess, scene.newton, free)

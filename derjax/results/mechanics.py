@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..integrate.step import Scene, fluid_velocity, motor_rotation
+from ..integrate.step import Scene, motor_rotation, moving_stage
 from ..rods.kinematics import positions, tangents
 from ..rods.rod import State
 from ..rods.vectors import cross
@@ -34,7 +34,7 @@ def forces(scene: Scene, state: State) -> dict[str, Float[Array, "n 3"]]:
     Drag and friction are those of the state's velocity, inertia that of its acceleration.
     """
     found: dict[str, Array] = {}
-    stage = _moving(scene, state, state.velocity)
+    stage = moving_stage(scene, state, state.velocity, state.acceleration)
     for term, part in zip(scene.terms, _parts(scene, scene.terms, state, stage), strict=True):
         name = type(term).__name__
         force = positions(scene.rod.topology, _force(part, state))
@@ -95,7 +95,7 @@ def resistance(
         return jnp.concatenate([(along + cross(turn, nodes - about)).ravel(), spin])
 
     def drag(rigid: Float[Array, " 6"]) -> Dofs:
-        stage = _moving(scene, state, motion(rigid))
+        stage = moving_stage(scene, state, motion(rigid), state.acceleration)
         parts = _parts(scene, drags, state, stage)
         return -sum((_force(part, state) for part in parts), jnp.zeros_like(state.q))
 
@@ -109,18 +109,6 @@ def _parts(
     """What terms contribute where the rod stands; they may ask all terms of the scene."""
     prediction = standing(state, scene.terms)
     return contributions(terms, scene.rod, state, stage, prediction)
-
-
-def _moving(scene: Scene, state: State, velocity: Dofs) -> Stage:
-    """A stage of unit length that ends at the state's positions with some velocity."""
-    return Stage(
-        length=jnp.ones(()),
-        time=state.time,
-        motor_angle=state.motor_angle,
-        origin=state.q - velocity,
-        velocity=velocity - state.acceleration,
-        fluid_velocity=fluid_velocity(scene, state.q, state.time),
-    )
 
 
 def _force(part: Contribution | Mobility, state: State) -> Dofs:

@@ -73,6 +73,11 @@ class Topology:
         return 3 * self.n_nodes + self.n_edges
 
     @cached_property
+    def free_dofs(self) -> np.ndarray:
+        """The degrees of freedom that are not held fixed."""
+        return np.setdiff1d(np.arange(self.n_dofs), self.fixed_dofs)
+
+    @cached_property
     def edge_nodes(self) -> np.ndarray:
         """(e, 2): start and end node of each edge."""
         return np.array(self.edges, dtype=np.int32).reshape(-1, 2)

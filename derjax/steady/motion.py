@@ -15,14 +15,14 @@ from jaxtyping import Array, Float
 
 from ..core.errors import InputError
 from ..core.pytree import pytree, static
-from ..integrate.step import Scene, fluid_velocity
+from ..integrate.step import Scene, moving_stage
 from ..rods.kinematics import positions, tangents
 from ..rods.rod import State, transport_frames
 from ..rods.topology import Topology
 from ..rods.vectors import cross
 from ..solve.potential import Contribution, Dofs
 from ..terms.gravity import Gravity
-from ..terms.term import Stage, contributions, standing
+from ..terms.term import contributions, standing
 
 
 @pytree
@@ -79,7 +79,7 @@ def symmetry_of(scene: Scene) -> Symmetry:
     if count != 1 or scene.motor is None:
         raise InputError(
             f"{count} motors turn: a steady shape needs one; flagella of several motors pass each "
-            "other in every turn, and static shapes are found by derjax.equilibrium"
+            "other in every turn"
         )
     if scene.motor.time.shape[0] != 1:
         raise InputError("the rate of the motor changes in time: a steady shape needs one rate")
@@ -160,14 +160,7 @@ def imbalance(scene: Scene, q: Dofs, velocity: Dofs, acceleration: Dofs) -> Dofs
         InputError: a term that forces are not known of.
     """
     state = state_at(scene, q)
-    stage = Stage(
-        length=jnp.ones(()),
-        time=state.time,
-        motor_angle=state.motor_angle,
-        origin=state.q - velocity,
-        velocity=velocity - acceleration,
-        fluid_velocity=fluid_velocity(scene, state.q, state.time),
-    )
+    stage = moving_stage(scene, state, velocity, acceleration)
     total = jnp.zeros_like(q)
     prediction = standing(state, scene.terms)
     for part in contributions(scene.terms, scene.rod, state, stage, prediction):

@@ -130,9 +130,8 @@ class Equations:
     """The equations of a steady state of a scene, in the unknowns that are free."""
 
     def __init__(self, scene: Scene, symmetry: Symmetry) -> None:
-        topology = scene.rod.topology
         self.scene, self.symmetry = scene, symmetry
-        self.free = np.setdiff1d(np.arange(topology.n_dofs), topology.fixed_dofs)
+        self.free = scene.rod.topology.free_dofs
 
     def start(self) -> Array:
         """At rest, where the scene starts."""

@@ -104,15 +104,11 @@ def _imbalance_by(state: Steady, q: Array, extra: Array) -> Array:
     return imbalance(scene, q, velocity + extra, acceleration)
 
 
-def _free(scene: Scene) -> np.ndarray:
-    return np.setdiff1d(np.arange(scene.rod.topology.n_dofs), scene.rod.topology.fixed_dofs)
-
-
 @jax.jit
 def linearisation(state: Steady) -> Linearisation:
     """The matrices of small displacements from a steady state."""
     q, still = state.state.q, jnp.zeros_like(state.state.q)
-    free = _free(state.scene)
+    free = state.scene.rod.topology.free_dofs
     by_shape = jax.jacfwd(lambda x: _imbalance_by(state, x, still))(q)
     by_rate = jax.jacfwd(lambda v: _imbalance_by(state, q, v))(still)
     return Linearisation(by_shape[free][:, free], by_rate[free][:, free])
@@ -129,7 +125,8 @@ def stability(state: Steady) -> Stability:
     state.raise_if_failed()
     matrices = linearisation(state)
     stiffness, drag = np.asarray(matrices.stiffness), np.asarray(matrices.drag)
-    unit = np.asarray(state.scene.newton.force_scale)[_free(state.scene)]
+    topology = state.scene.rod.topology
+    unit = np.asarray(state.scene.newton.force_scale)[topology.free_dofs]
     stiffness, drag = stiffness / unit[:, None], drag / unit[:, None]
     found: Any = scipy.linalg.eig(-stiffness, drag, left=True, right=True, homogeneous_eigvals=True)
     (alpha, beta), left, right = found
@@ -140,11 +137,10 @@ def stability(state: Steady) -> Stability:
     keep, error = _without_rigid(values, state, turning)
     keep &= values.imag >= 0.0
     order = np.flatnonzero(keep)[np.argsort(-values[keep].real)]
-    size, free = state.scene.rod.topology.n_dofs, _free(state.scene)
 
     def whole(vectors: np.ndarray) -> np.ndarray:
-        full = np.zeros((len(order), size), complex)
-        full[:, free] = vectors[:, order].T
+        full = np.zeros((len(order), topology.n_dofs), complex)
+        full[:, topology.free_dofs] = vectors[:, order].T
         return full
 
     # The left eigenvectors were those of rows in the solver's units.
