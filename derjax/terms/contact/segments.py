@@ -72,10 +72,24 @@ def between(pair: Pair, s: Scalar, t: Scalar) -> Float[Array, "*b 3"]:
     return (1.0 - s) * x0 + s * x1 - (1.0 - t) * y0 - t * y1
 
 
+@jax.custom_jvp
 def distance(pair: Pair) -> Scalar:
     """Exact distance of two segments; not smooth where the closest points are not unique."""
-    gap = between(pair, *closest(pair))
-    return norm(gap)
+    return norm(between(pair, *closest(pair)))
+
+
+@distance.defjvp
+def _distance_jvp(primals: tuple[Pair], tangents: tuple[Pair]) -> tuple[Scalar, Scalar]:
+    """That the closest points move changes the distance to second order only.
+
+    Left to the chain rule, points of nearly parallel segments, which move very far, would
+    make a first order of their rounding.
+    """
+    (pair,), (dpair,) = primals, tangents
+    s, t = closest(pair)
+    gap = between(pair, s, t)
+    apart = norm(gap)
+    return apart, _quotient(dot(gap, between(dpair, s, t)), apart)
 
 
 class Near(NamedTuple):
