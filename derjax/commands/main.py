@@ -19,7 +19,11 @@ from importlib.metadata import EntryPoint, entry_points, version
 from typing import Any
 
 from ..core.errors import InputError, InputWarning, WriteWarning
-from ..core.runtime import enable_compilation_cache, use_one_blas_thread
+from ..core.runtime import (
+    collect_garbage_rarely,
+    enable_compilation_cache,
+    use_one_blas_thread,
+)
 from ..core.status import SolverError
 from ..runs.progress import terminated_like_interrupted
 
@@ -43,6 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         args = _parser(commands, argv).parse_args(argv)
         enable_compilation_cache()
         use_one_blas_thread()
+        collect_garbage_rarely()
         with terminated_like_interrupted(), warnings.catch_warnings():
             for category in (InputWarning, WriteWarning):
                 warnings.simplefilter("always", category)

@@ -225,6 +225,7 @@ def _going(run: _Run) -> Array:
     return (run.left > 0) & (run.report.status == Status.OK)
 
 
+@jax.jit
 def _attempt(scene: Scene, run: _Run) -> _Run:
     """One try of a step."""
     if scene.control is None:

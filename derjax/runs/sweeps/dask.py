@@ -7,7 +7,11 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from ...core.errors import InputError
-from ...core.runtime import enable_compilation_cache, use_one_blas_thread
+from ...core.runtime import (
+    collect_garbage_rarely,
+    enable_compilation_cache,
+    use_one_blas_thread,
+)
 from .points import ERROR, Chunk, Outcome, compute_surely, failed
 
 RETRIES = 2
@@ -106,4 +110,5 @@ def _result(future: Any, chunk: Chunk) -> list[Outcome]:
 def _on_worker(chunk: Chunk) -> list[Outcome]:
     enable_compilation_cache()
     use_one_blas_thread()
+    collect_garbage_rarely()
     return compute_surely(chunk)
