@@ -35,8 +35,10 @@ from .integrate.frames import roll_frames as roll_frames
 from .integrate.schemes.euler import euler as euler
 from .integrate.schemes.trbdf2 import trbdf2 as trbdf2
 from .integrate.step import Scene as Scene
+from .results.mechanics import Operators as Operators
 from .results.mechanics import energies as energies
 from .results.mechanics import forces as forces
+from .results.mechanics import operators as operators
 from .results.mechanics import potential as potential
 from .results.mechanics import resistance as resistance
 from .results.run import Run as Run
@@ -60,6 +62,9 @@ from .solve.potential import Load as Load
 from .solve.potential import Mobility as Mobility
 from .solve.potential import Pairs as Pairs
 from .solve.potential import Quadratic as Quadratic
+from .steady.branch import Branch as Branch
+from .steady.branch import branch as branch
+from .steady.equilibrium import equilibrium as equilibrium
 from .steady.solve import Steady as Steady
 from .steady.solve import steady as steady
 from .steady.stability import Stability as Stability

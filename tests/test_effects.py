@@ -140,7 +140,12 @@ def content_of(name: str) -> dict[str, dict[str, Any]]:
 
 def made_of(content: dict[str, Any]) -> tuple[Any, list[np.ndarray]]:
     """All that a scene file makes: structure and numbers of the scene, frames and steps."""
-    file = checked(SceneFile, content)
+    return built(checked(SceneFile, content).model_dump_json())
+
+
+@cache  # many contents are the same once defaults are filled in
+def built(text: str) -> tuple[Any, list[np.ndarray]]:
+    file = SceneFile.model_validate_json(text)
     with jax.disable_jit():  # quicker than to compile so many
         scene = build(file)
         state = scene.start

@@ -16,6 +16,7 @@ class Status(enum.IntEnum):
     TOO_SHORT = 7
     TOO_MANY = 8
     OVERLAP = 9
+    NOT_STEADY = 10
 
 
 class SolverError(RuntimeError):
@@ -32,6 +33,7 @@ _WHAT = {
     Status.TOO_SHORT: "no step was short enough to meet the tolerance: the motion is not smooth",
     Status.OVERLAP: "two rods overlap where the step begins",
     Status.TOO_MANY: "a frame needs more steps than a run may take, so short do they have to be",
+    Status.NOT_STEADY: "forces change as the robot moves and turns as a whole",
 }
 
 _TRY = {
@@ -44,6 +46,7 @@ _TRY = {
     Status.TOO_SHORT: "a larger [time] tolerance; a rod may be snapping, or driven unevenly",
     Status.OVERLAP: "a start in which they are apart: another separation, phase or shape",
     Status.TOO_MANY: "a shorter [time] frame, a larger [time] tolerance, or a slower motor",
+    Status.NOT_STEADY: "a simulation in time",
 }
 
 

@@ -6,12 +6,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..core.pytree import pytree, replace, static
 from ..integrate.step import Scene, motor_rotation, moving_stage
 from ..rods.kinematics import positions, tangents
 from ..rods.rod import State
 from ..rods.vectors import cross
 from ..solve.potential import Contribution, Dofs, Mobility, Potential, assemble
 from ..solve.saddle import drag_forces
+from ..steady.motion import imbalance
 from ..terms.term import Role, Stage, Term, contributions, standing
 
 
@@ -66,6 +68,49 @@ def potential(scene: Scene, state: State, length: float | Array) -> Potential:
             "build the scene with [solver] method = 'dense'"
         )
     return assemble(found)
+
+
+@pytree
+class Operators:
+    """The matrices of small motions about a state, `M a + D v + K x`, on all degrees of freedom.
+
+    Attributes:
+        stiffness: (d, d) K, N/m and so on: how forces resist displacements.
+        drag: (d, d) D, N s/m and so on: how they resist rates, that of the fluid's and friction's
+            law at the state.
+        mass: (d, d) M, kg and kg m^2.
+        free: (f,) the degrees of freedom that are not held.
+    """
+
+    stiffness: Float[Array, "d d"]
+    drag: Float[Array, "d d"]
+    mass: Float[Array, "d d"]
+    free: tuple[int, ...] = static()
+
+
+def operators(scene: Scene, state: State) -> Operators:
+    """Stiffness, drag and mass of a state, for a modal analysis of one's own.
+
+    They are derivatives of the forces of all terms by displacement, velocity and acceleration, in
+    frames that are carried along from the state: the rate of an angle is the spin of its edge. The
+    velocity and acceleration of the state count, as the force of a drag that changes with the shape
+    is part of the stiffness.
+
+    Args:
+        scene: whose terms.
+        state: about which.
+
+    Raises:
+        InputError: a robot in blocks.
+    """
+    return _operators(replace(scene, initial=state), state)
+
+
+@jax.jit
+def _operators(scene: Scene, state: State) -> Operators:
+    at = state.q, state.velocity, state.acceleration
+    by = jax.jacfwd(imbalance, argnums=(1, 2, 3))(scene, *at)
+    return Operators(*by, free=tuple(scene.rod.topology.free_dofs.tolist()))
 
 
 def resistance(

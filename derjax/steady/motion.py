@@ -11,15 +11,17 @@ from functools import cached_property
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from ..core.errors import InputError
-from ..core.pytree import pytree, static
+from ..core.pytree import pytree, replace, static
+from ..integrate.schemes.contact_corrected import contact_corrected_euler
 from ..integrate.step import Scene, moving_stage
-from ..rods.kinematics import positions, tangents
+from ..rods.kinematics import angles, positions, tangents
 from ..rods.rod import State, transport_frames
 from ..rods.topology import Topology
-from ..rods.vectors import cross
+from ..rods.vectors import cross, rotation_about
 from ..solve.potential import Contribution, Dofs
 from ..terms.gravity import Gravity
 from ..terms.term import contributions, standing
@@ -48,12 +50,14 @@ class Symmetry:
         own_spin: (e,) of every edge about itself beyond that of the shape, in units of the motor's
             rate.
         driven: (3,) axis about which a held shape is turned by its motor; zero if it is not held.
+        pivot: (3,) m, on that axis.
     """
 
     axes: Float[Array, "k 3"]
     moves: bool = static()
     own_spin: Float[Array, " e"]
     driven: Float[Array, " 3"]
+    pivot: Float[Array, " 3"]
 
     @cached_property
     def size(self) -> int:
@@ -62,9 +66,39 @@ class Symmetry:
 
     def motion(self, unknowns: Float[Array, " m"], rate: Array) -> RigidMotion:
         """The motion of the shape, from its unknowns and the rate of the motor (rad/s)."""
-        velocity = unknowns[:3] if self.moves else jnp.zeros(3)
-        turning = unknowns[self.size - len(self.axes) :] @ self.axes
-        return RigidMotion(velocity, turning + rate * self.driven)
+        turning = unknowns[self.size - len(self.axes) :] @ self.axes + rate * self.driven
+        velocity = unknowns[:3] if self.moves else cross(self.pivot, turning)
+        return RigidMotion(velocity, turning)
+
+
+def held_still(scene: Scene) -> Symmetry:
+    """The shape of a scene that is held somewhere, and whose motors stand still.
+
+    Raises:
+        InputError: nothing is held.
+    """
+    _check_forces(scene)
+    topology = scene.rod.topology
+    if not topology.fixed_dofs:
+        raise InputError(
+            "nothing holds the rod, so that it has no equilibrium at rest: hold an end, or ask for "
+            "the steady state of a robot (derjax.steady)"
+        )
+    still = jnp.zeros(topology.n_edges)
+    return Symmetry(jnp.zeros((0, 3)), False, still, jnp.zeros(3), jnp.zeros(3))
+
+
+def _check_forces(scene: Scene) -> None:
+    """Refuses scenes that have more to them than the forces of their terms."""
+    if scene.layout is not None:
+        raise InputError(
+            "a robot in blocks: build the scene with [solver] method = 'dense' for steady shapes"
+        )
+    if scene.scheme is contact_corrected_euler:
+        raise InputError(
+            "[contact] method = 'spillmann_teschner' moves rods apart without a force, so that no "
+            "forces can balance: choose another method"
+        )
 
 
 def symmetry_of(scene: Scene) -> Symmetry:
@@ -74,6 +108,7 @@ def symmetry_of(scene: Scene) -> Symmetry:
         InputError: there is no motor, or there are several, which pass each other; its rate
             changes in time; or a filament is held at both ends.
     """
+    _check_forces(scene)
     topology = scene.rod.topology
     count = len(topology.motors) + len(topology.driven_edges)
     if count != 1 or scene.motor is None:
@@ -83,25 +118,38 @@ def symmetry_of(scene: Scene) -> Symmetry:
         )
     if scene.motor.time.shape[0] != 1:
         raise InputError("the rate of the motor changes in time: a steady shape needs one rate")
-    if scene.layout is not None:
-        raise InputError(
-            "a robot in blocks: build the scene with [solver] method = 'dense' for steady shapes"
-        )
     still = np.zeros(topology.n_edges)
     if topology.driven_edges:
         (base,) = topology.driven_edges
         held = np.flatnonzero(topology.held_edges)
         if len(held) > 1:
             raise InputError("a filament that is held at both ends does not turn as a whole")
-        axis = tangents(topology, positions(topology, scene.start.q))[base]
-        return Symmetry(jnp.zeros((0, 3)), False, jnp.asarray(still), axis)
+        x = positions(topology, scene.start.q)
+        axis, pivot = tangents(topology, x)[base], x[topology.edge_nodes[base][0]]
+        return Symmetry(jnp.zeros((0, 3)), False, jnp.asarray(still), axis, pivot)
     axes = jnp.eye(3)
-    weights = [term for term in scene.terms if isinstance(term, Gravity)]
+    weights = [term for term in scene.terms if isinstance(term, Gravity) and _acts(term)]
     if weights:
         (weight,) = weights
         size = jnp.linalg.norm(weight.acceleration)
         axes = (weight.acceleration / size)[None]
-    return Symmetry(axes, True, jnp.asarray(_head_spin(topology)), jnp.zeros(3))
+    return Symmetry(axes, True, jnp.asarray(_head_spin(topology)), jnp.zeros(3), jnp.zeros(3))
+
+
+def _acts(weight: Gravity) -> bool:
+    """Whether anything is heavier or lighter than the fluid; not known while JAX traces."""
+    if isinstance(weight.buoyant_mass, Tracer) or isinstance(weight.acceleration, Tracer):
+        return True
+    return bool(np.any(weight.buoyant_mass) and np.any(weight.acceleration))
+
+
+def with_part_of_weight(scene: Scene, part: Array | float) -> Scene:
+    """The scene with less gravity: as slow motors turn a robot, so should its weight, on the way."""
+    terms = tuple(
+        replace(term, acceleration=part * term.acceleration) if isinstance(term, Gravity) else term
+        for term in scene.terms
+    )
+    return replace(scene, terms=terms)
 
 
 def _head_spin(topology: Topology) -> np.ndarray:
@@ -144,6 +192,45 @@ def state_at(scene: Scene, q: Dofs) -> State:
     return transport_frames(scene.rod, scene.start, q)
 
 
+LATER = 1.0
+"""rad, by which `elsewhere` turns a shape, and its motor."""
+
+
+def elsewhere(
+    scene: Scene, symmetry: Symmetry, q: Dofs, motion: RigidMotion, rate: Array
+) -> tuple[Scene, Dofs, RigidMotion]:
+    """The same steady state at another time and place: moved, turned, with the motor turned on.
+
+    Forces must be in balance there, too, else the state is not steady. The scene that comes back
+    starts in the moved start.
+    """
+    topology, start = scene.rod.topology, scene.start
+    about, pivot, shift = symmetry.driven, symmetry.pivot, jnp.zeros(3)
+    if symmetry.moves:
+        shift = jnp.sum(scene.rod.rest_length) * jnp.array([0.3, -0.2, 0.4])
+    if len(symmetry.axes):
+        weights = jnp.array([0.6, -0.5, 0.4])[: len(symmetry.axes)]
+        about = (weights / jnp.linalg.norm(weights)) @ symmetry.axes
+    turn = rotation_about(about, LATER)
+    # A motor at rest does not turn on.
+    onwards = LATER * jnp.sign(rate)
+
+    def moved(q: Dofs) -> Dofs:
+        x = (positions(topology, q) - pivot) @ turn.T + pivot + shift
+        return jnp.concatenate([x.ravel(), angles(topology, q) + onwards * symmetry.own_spin])
+
+    later = replace(
+        start,
+        q=moved(start.q),
+        reference_director=start.reference_director @ turn.T,
+        motor_angle=start.motor_angle + onwards,
+        time=start.time + jnp.where(rate == 0.0, 0.0, LATER / jnp.where(rate == 0.0, 1.0, rate)),
+    )
+    velocity = turn @ motion.velocity - cross(turn @ motion.rotation, shift)
+    return replace(scene, initial=later), moved(q), RigidMotion(velocity, turn @ motion.rotation)
+
+
+@jax.jit  # traced once, and not for every program and derivative that asks
 def imbalance(scene: Scene, q: Dofs, velocity: Dofs, acceleration: Dofs) -> Dofs:
     """(d,) N and N m: what is left of all forces, with the sign of a potential's gradient.
 
@@ -170,11 +257,18 @@ def imbalance(scene: Scene, q: Dofs, velocity: Dofs, acceleration: Dofs) -> Dofs
     return total
 
 
+@jax.jit
 def steady_imbalance(
     scene: Scene, symmetry: Symmetry, q: Dofs, unknowns: Float[Array, " m"], rate: Array
 ) -> Dofs:
+    """`moving_imbalance`, by the unknowns of the motion."""
+    return moving_imbalance(scene, symmetry, q, symmetry.motion(unknowns, rate), rate)
+
+
+def moving_imbalance(
+    scene: Scene, symmetry: Symmetry, q: Dofs, motion: RigidMotion, rate: Array
+) -> Dofs:
     """`imbalance` in a rigid motion of the shape `q`, inertia of the turning frame included."""
-    motion = symmetry.motion(unknowns, rate)
     velocity = rates(scene, symmetry, q, motion, rate)
     return imbalance(scene, q, velocity, rotating_acceleration(scene, motion, velocity))
 

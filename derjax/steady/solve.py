@@ -17,12 +17,15 @@ from ..rods.rod import State
 from .motion import (
     RigidMotion,
     Symmetry,
+    elsewhere,
     gauge,
+    moving_imbalance,
     rates,
     rotating_acceleration,
     state_at,
     steady_imbalance,
     symmetry_of,
+    with_part_of_weight,
 )
 
 MOST_MATRICES, MOST_TRIES = 8, 40
@@ -36,6 +39,9 @@ FIRST, SMALLEST = 0.5, 1e-4
 
 GROWTH, SHRINK = 2.0, 0.25
 """Of the increment, after one that converged and one that did not."""
+
+ELSEWHERE = 1e-5
+"""The largest scaled force in a steady state that is moved and turned as a whole."""
 
 ROUNDING = 100.0
 """Times the tolerance: where rounding leaves no smaller residual, it is small enough."""
@@ -53,6 +59,7 @@ class Steady:
         iterations: of Newton's method.
         residual: largest scaled force that is left.
         scene: whose steady state it is.
+        symmetry: in which ways the shape may move.
     """
 
     state: State
@@ -62,6 +69,7 @@ class Steady:
     iterations: Int[Array, ""]
     residual: Float[Array, ""]
     scene: Scene
+    symmetry: Symmetry
 
     @property
     def ok(self) -> bool:
@@ -70,6 +78,13 @@ class Steady:
 
     def raise_if_failed(self) -> None:
         """Raise `SolverError` with the rate that was reached, and what to try, if there is none."""
+        if self.status == Status.NOT_STEADY:
+            raise SolverError(
+                "forces change as the robot moves and turns as a whole (scaled residual elsewhere "
+                f"{float(self.residual):.2e}), so that it has no steady state: a flow, a force that "
+                "is fixed in space or that changes in time, and [motor] hinge = 'published' do "
+                "that. Simulate it in time."
+            )
         if not self.ok:
             reached = float(self.motor_rate) * 60 / (2 * np.pi)
             raise SolverError(
@@ -126,6 +141,10 @@ class _Point:
     part: Array
 
 
+Found = tuple[Array, Array, Array, Array, Array]
+"""Unknowns of the steady state, the part of the rate that was reached, status, steps, residual."""
+
+
 class Equations:
     """The equations of a steady state of a scene, in the unknowns that are free."""
 
@@ -137,26 +156,60 @@ class Equations:
         """At rest, where the scene starts."""
         return jnp.concatenate([self.scene.start.q[self.free], jnp.zeros(self.symmetry.size)])
 
+    def rigid(self, part: Array) -> Array:
+        """The shape of the start, in the motion in which it has least force and torque."""
+        start, count = self.start(), len(self.free)
+        turning = replace(self.symmetry, axes=jnp.eye(3))
+        still, along = jnp.zeros(()), jnp.eye(turning.size)
+        moves = jax.vmap(
+            lambda u: rates(self.scene, turning, self.scene.start.q, turning.motion(u, still), still)
+        )(along)[:, self.free]
+        unit = self.scene.newton.force_scale[self.free]
+
+        def left(unknowns: Array) -> Array:
+            z = start.at[count:].set(unknowns)
+            return moves @ (self.residual(z, part)[:count] * unit)
+
+        by_motion = jax.jacfwd(left)(start[count:])
+        return start.at[count:].add(-jnp.linalg.lstsq(by_motion, left(start[count:]))[0])
+
     def split(self, z: Array) -> tuple[Array, Array]:
         """All degrees of freedom, and the unknowns of the motion."""
         count = len(self.free)
         return self.scene.start.q.at[self.free].set(z[:count]), z[count:]
 
     def rate(self, part: Array | float) -> Array:
-        """rad/s, of the motor."""
-        assert self.scene.motor is not None
+        """rad/s, of the motor; 0 where none turns."""
+        if self.scene.motor is None:
+            return jnp.zeros(())
         return part * self.scene.motor.rate[0, 0]
 
     def residual(self, z: Array, part: Array | float = 1.0) -> Array:
         """What should vanish, dimensionless: forces in the solver's units, and the gauge."""
         q, unknowns = self.split(z)
-        force = steady_imbalance(self.scene, self.symmetry, q, unknowns, self.rate(part))
+        scene = with_part_of_weight(self.scene, part)
+        force = steady_imbalance(scene, self.symmetry, q, unknowns, self.rate(part))
         unit = lax.stop_gradient(self.scene.newton.force_scale)
         scaled = (force / unit)[self.free]
         return jnp.concatenate([scaled, gauge(self.scene, self.symmetry, q)])
 
 
-def _size(residual: Array) -> Array:
+    def checked(self, found: Found) -> Found:
+        """With the status of what has no balance at another time and place."""
+        z, part, status, tries, size = found
+        q, unknowns = self.split(z)
+        rate = self.rate(part)
+        motion = self.symmetry.motion(unknowns, rate)
+        here = with_part_of_weight(self.scene, part)
+        scene, q, motion = elsewhere(here, self.symmetry, q, motion, rate)
+        force = moving_imbalance(scene, self.symmetry, q, motion, rate)
+        left = largest((force / scene.newton.force_scale)[self.free])
+        wrong = (status == Status.OK) & (left > ELSEWHERE)
+        status = jnp.where(wrong, Status.NOT_STEADY, status).astype(jnp.int32)
+        return z, part, status, tries, jnp.where(wrong, left, size)
+
+
+def largest(residual: Array) -> Array:
     """The largest of the residuals; infinite if one is not a number."""
     worst = jnp.max(jnp.abs(residual))
     return jnp.where(jnp.isfinite(worst), worst, jnp.inf)
@@ -210,7 +263,7 @@ def newton(
         factor = lax.cond(now.renew, lambda: matrix(now.z), lambda: now.factor)
         z = now.z - lu_solve(factor, now.residual)
         residual = equations.residual(z, part)
-        size = _size(residual)
+        size = largest(residual)
         falls = size <= CONTRACTION * now.size
         taken = falls | now.renew
         z, residual, size = (
@@ -225,14 +278,19 @@ def newton(
     zero = jnp.zeros((), jnp.int32)
     none = jnp.zeros((guess.size, guess.size)), jnp.zeros(guess.size, jnp.int32)
     yes, no = jnp.array(True), jnp.array(False)
-    start = _Iterate(guess, residual, _size(residual), none, yes, zero, zero, no)
+    start = _Iterate(guess, residual, largest(residual), none, yes, zero, zero, no)
     return lax.while_loop(going, step, start)
 
 
 @jax.jit
-def _followed(scene: Scene, guess: Array | None) -> tuple[Array, Array, Array, Array, Array]:
-    """The unknowns of the steady state, the part of the rate that was reached, and how it went."""
-    equations = Equations(scene, symmetry_of(scene))
+def _followed(scene: Scene, symmetry: Symmetry, guess: Array | None) -> Found:
+    """The steady state along growing rates of the motor, or from a guess, and whether it is one."""
+    equations = Equations(scene, symmetry)
+    return equations.checked(_along_rates(equations, guess))
+
+
+def _along_rates(equations: Equations, guess: Array | None) -> Found:
+    scene = equations.scene
     tolerance, one = scene.newton.tolerance, jnp.ones(())
 
     def good(found: _Iterate) -> Array:
@@ -252,7 +310,7 @@ def _followed(scene: Scene, guess: Array | None) -> tuple[Array, Array, Array, A
         part = jnp.minimum(now.part + increment, 1.0)
         known = now.part > before.part
         ahead = jnp.where(known, (part - now.part) / (now.part - before.part), 0.0)
-        guess = now.z + ahead * (now.z - before.z)
+        guess = jnp.where(now.part > 0.0, now.z + ahead * (now.z - before.z), equations.rigid(part))
         found = newton(equations, guess, part, tolerance)
         chosen = good(found)
         there, behind = jax.tree.map(
@@ -286,8 +344,7 @@ def steady(scene: Scene, guess: Steady | None = None) -> Steady:
     Raises:
         InputError: the scene cannot swim steadily, such as one with several flagella.
     """
-    symmetry_of(scene)  # complains before anything is compiled
-    return _solved(scene, guess)
+    return _solved(scene, symmetry_of(scene), guess)
 
 
 def steady_near(scene: Scene, known: Steady | None) -> Steady:
@@ -303,10 +360,15 @@ def steady_near(scene: Scene, known: Steady | None) -> Steady:
 
 
 @jax.jit
-def _solved(scene: Scene, guess: Steady | None) -> Steady:
-    equations = Equations(scene, symmetry_of(scene))
-    known = None if guess is None else _unknowns(equations, guess)
-    found, part, status, tries, size = _followed(*lax.stop_gradient((scene, known)))
+def _solved(scene: Scene, symmetry: Symmetry, guess: Steady | None) -> Steady:
+    equations = Equations(scene, symmetry)
+    known = None if guess is None else unknowns_of(equations, guess)
+    return solved_by(equations, _followed(*lax.stop_gradient((scene, symmetry, known))))
+
+
+def solved_by(equations: Equations, solution: Found) -> Steady:
+    """The steady state that has been found, with derivatives by the implicit function theorem."""
+    found, part, status, tries, size = solution
 
     def linear(tangent: Any, y: Array) -> Array:
         return jnp.linalg.solve(jax.jacobian(tangent)(jnp.zeros_like(y)), y)
@@ -317,7 +379,8 @@ def _solved(scene: Scene, guess: Steady | None) -> Steady:
     return _steady(equations, z, part, status, tries, size)
 
 
-def _unknowns(equations: Equations, known: Steady) -> Array:
+def unknowns_of(equations: Equations, known: Steady) -> Array:
+    """The unknowns at a known steady state."""
     q = unwrapped(known.state)
     motion = known.motion
     symmetry = equations.symmetry
@@ -343,4 +406,4 @@ def _steady(
     velocity = rates(scene, symmetry, q, motion, rate)
     acceleration = rotating_acceleration(scene, motion, velocity)
     state = replace(state, velocity=velocity, acceleration=acceleration)
-    return Steady(state, motion, rate, status, iterations, size, scene)
+    return Steady(state, motion, rate, status, iterations, size, scene, symmetry)

@@ -21,11 +21,12 @@ from jaxtyping import Array, Complex, Float
 from ..core.pytree import pytree, replace
 from ..core.status import SolverError
 from ..integrate.step import Scene
-from .motion import imbalance, rates, rotating_acceleration, symmetry_of
+from .motion import imbalance, rates, rotating_acceleration
 from .solve import Steady, steady, steady_near
 
 INFINITE = 1e9
-"""Eigenvalues (1/s) that are larger over the rate of the motor are those of angles without drag."""
+"""Eigenvalues (1/s) that are larger are those of angles without drag: over the rate of the motor, or
+over the slowest of all where nothing turns."""
 
 FIRST_STEP, LONGEST_STEP = 0.02, 0.3
 """Of the search for a threshold, over the value itself."""
@@ -98,8 +99,7 @@ def _imbalance_by(state: Steady, q: Array, extra: Array) -> Array:
     # Carried from the state itself, frames do not turn to first order, and the rate of an angle is
     # the physical spin of its edge. Carried from elsewhere they would.
     scene = replace(state.scene, initial=state.state)
-    symmetry = symmetry_of(scene)
-    velocity = rates(scene, symmetry, q, state.motion, state.motor_rate)
+    velocity = rates(scene, state.symmetry, q, state.motion, state.motor_rate)
     acceleration = rotating_acceleration(scene, state.motion, velocity)
     return imbalance(scene, q, velocity + extra, acceleration)
 
@@ -131,7 +131,9 @@ def stability(state: Steady) -> Stability:
     found: Any = scipy.linalg.eig(-stiffness, drag, left=True, right=True, homogeneous_eigvals=True)
     (alpha, beta), left, right = found
     turning = float(jnp.linalg.norm(state.motion.rotation))
-    pace = max(turning, abs(float(state.motor_rate)), 1e-300)
+    pace = max(turning, abs(float(state.motor_rate)))
+    if pace == 0.0:  # nothing turns: the slowest mode says what is fast
+        pace = np.min(np.abs(alpha[beta != 0.0] / beta[beta != 0.0]))
     finite = np.abs(alpha) < INFINITE * pace * np.abs(beta)
     values, left, right = alpha[finite] / beta[finite], left[:, finite], right[:, finite]
     keep, error = _without_rigid(values, state, turning)
@@ -149,8 +151,7 @@ def stability(state: Steady) -> Stability:
 
 def _without_rigid(values: np.ndarray, state: Steady, turning: float) -> tuple[np.ndarray, float]:
     """Which modes are no rigid motions, and the largest error of those that are."""
-    symmetry = symmetry_of(state.scene)
-    keep, worst = np.ones(len(values), bool), 0.0
+    symmetry, keep, worst = state.symmetry, np.ones(len(values), bool), 0.0
     if not symmetry.moves:
         return keep, worst
     around = [1j * turning, -1j * turning]
