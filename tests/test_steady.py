@@ -145,6 +145,62 @@ def test_what_cannot_be_steady_says_so(tables, message):
         dj.steady(dj.build(file))
 
 
+HELD = {"robot": TINY["robot"] | {"kind": "clamped", "n_flagella": 1}}
+HEAVY = {"fluid": {"hydrodynamics": "rft", "fluid_density": 1250.0}}
+
+
+@pytest.mark.parametrize(
+    "tables",
+    [
+        pytest.param({"motor": {"rpm": 80.0, "hinge": "published"}}, id="limp once a turn"),
+        pytest.param(
+            HELD | HEAVY | {"gravity": {"acceleration": [0.0, 0.0, -9.81]}}, id="held, and heavy"
+        ),
+    ],
+)
+def test_forces_that_change_as_the_shape_turns_are_noticed(tables):
+    """At one moment they balance, which says nothing of the next."""
+    state = dj.steady(dj.build(dj.SceneFile.from_dict(TINY | tables)))
+    assert state.status == dj.Status.NOT_STEADY
+    with pytest.raises(dj.SolverError, match="has no steady state"):
+        state.raise_if_failed()
+
+
+def test_a_robot_that_is_heavier_than_the_fluid_swims_and_sinks(swimming):
+    """Along gravity, up or down; the sum of both speeds is twice that without."""
+    speeds = []
+    for direction in (-1.0, 1.0):
+        gravity = {"gravity": {"acceleration": [9.81 * direction, 0.0, 0.0]}}
+        state = dj.steady(dj.build(dj.SceneFile.from_dict(TINY | HEAVY | gravity)))
+        state.raise_if_failed()
+        forces = dj.forces(state.scene, state.state)
+        drag = forces["ResistiveDrag"] + forces["HeadDrag"]
+        assert np.sum(forces["Gravity"][:, 0]) * direction > 0.0
+        np.testing.assert_allclose(
+            np.sum(drag + forces["Gravity"], axis=0), 0.0, atol=1e-6 * np.abs(drag).max()
+        )
+        speeds.append(float(state.motion.velocity[0]))
+    assert speeds[0] < 0.0 < speeds[1]
+    assert np.mean(speeds) == pytest.approx(float(swimming.speed), rel=1e-3)
+
+
+def test_a_branch_is_followed_around_a_fold():
+    """Beyond the fold there is no steady state; before it there are two."""
+    scene = dj.build(FILE, {"rpm": 585.0})
+    branch = dj.branch(scene, "rpm", 620.0)
+    assert (branch.complete, branch.message) == (True, "came back to the start")
+    (fold,) = branch.folds
+    assert all(state.ok for state in branch.states)
+    assert np.all(np.diff(branch.values)[:fold] > 0.0)
+    assert np.all(np.diff(branch.values)[fold:] < 0.0)
+    first, before, last = (branch.states[k] for k in (0, fold - 1, -1))
+    assert branch.values[-1] == pytest.approx(585.0, rel=1e-9)
+    assert float(last.speed) != pytest.approx(float(first.speed), rel=1e-3)
+    for part, found in ((0.999, True), (1.001, False)):
+        value = part * branch.values[fold]
+        assert dj.steady(scene.replace(rpm=value), guess=before).ok == found
+
+
 def test_failure_names_the_rate_that_was_reached():
     state = replace(dj.steady(dj.build(FILE)), status=jnp.array(1), motor_rate=jnp.array(1.0))
     with pytest.raises(dj.SolverError, match=r"beyond 9\.5493 rpm"):

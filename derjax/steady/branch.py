@@ -17,14 +17,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
 from ..core.pytree import pytree
 from ..core.status import Status
 from ..integrate.step import Scene
-from .equilibrium import equilibrium, still
+from .equilibrium import still
 from .motion import Symmetry, symmetry_of
-from .solve import ROUNDING, Equations, Steady, largest, newton, solved_by, steady, unknowns_of
+from .solve import ROUNDING, Equations, Steady, newton, solved_by, steady, unknowns_of
 
 FIRST, SMALLEST, LONGEST = 0.02, 1e-6, 0.1
 """Distances between points."""
@@ -83,11 +84,11 @@ class _Extended:
     def __init__(self, family: _Family, scene: Scene, symmetry: Symmetry, scale: Array) -> None:
         self.family, self.scene, self.symmetry, self.scale = family, scene, symmetry, scale
 
-    def forces(self, y: Array) -> Array:
-        """What should vanish but for the distance; y in units of `scale`."""
-        y = y * self.scale
+    def forces(self, y: Array, before: Array) -> Array:
+        """What should vanish but for the distance; unknowns in units of `scale`."""
+        y, before = y * self.scale, before * self.scale
         equations = self.family.equations(self.scene, self.symmetry, y[-1])
-        return equations.residual(y[:-1])
+        return equations.near(lax.stop_gradient(before[:-1])).residual(y[:-1])
 
     def through(self, start: Array, tangent: Array) -> "_Plane":
         return _Plane(self, start, tangent)
@@ -103,7 +104,7 @@ class _Plane:
 
     def residual(self, y: Array, distance: Array) -> Array:
         ahead = self.tangent @ (y - self.start) - distance
-        return jnp.append(self.branch.forces(y), ahead)
+        return jnp.append(self.branch.forces(y, self.start), ahead)
 
 
 @partial(jax.jit, static_argnums=0)
@@ -189,7 +190,7 @@ def branch(
 
 
 def _scales(equations: Equations, z: Array, span: float) -> Array:
-    """What unknowns are measured in: lengths, angles, velocities, and the range of the parameter."""
+    """What unknowns are measured in: lengths, angles, velocities, the range of the parameter."""
     topology = equations.scene.rod.topology
     length = float(jnp.sum(equations.scene.rod.rest_length))
     many = np.sqrt(len(equations.free))
@@ -267,9 +268,6 @@ class _Walk:
             value = function(point)
             if abs(value) < 1e-10 or abs(high[0] - low[0]) < 1e-12:
                 break
-            if value * high[1] < 0.0:
-                low = high
-            else:
-                low = low[0], 0.5 * low[1]
+            low = high if value * high[1] < 0.0 else (low[0], 0.5 * low[1])
             high = middle, value
         return point

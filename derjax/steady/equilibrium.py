@@ -29,8 +29,11 @@ from .solve import (
     unwrapped,
 )
 
-LONGER, SHORTER = 3.0, 0.2
-"""The most that the next step is longer than this one, and how much shorter after a failure."""
+LONG, LONGER, SHORTER = 1.3, 3.0, 0.2
+"""The next step is longer than this one by the least and the most; by how much after a failure."""
+
+SLOWLY = 1.1
+"""Forces may rise so much in a step that is still followed by a longer one."""
 
 MOST_STEPS = 400
 """Before the search for an equilibrium is given up."""
@@ -75,7 +78,7 @@ def _solved(scene: Scene, guess: Steady | None) -> Steady:
 
 def still(scene: Scene) -> Equations:
     """The equations of a scene that is held, with its motors at rest."""
-    return Equations(replace(scene, motor=None), heldstill(scene))
+    return Equations(replace(scene, motor=None), held_still(scene))
 
 
 @pytree
@@ -127,8 +130,9 @@ def _settled(scene: Scene, guess: Array | None) -> Found:
         force = largest(equations.residual(z))
         near = good & (force < CLOSE * now.worst)
         z, size = lax.cond(near, polished, lambda z: (z, force), z)
-        # As forces fall steps grow; where the rod buckles they rise, and steps stay with the motion.
-        change = jnp.clip(now.force / force, 1.0, LONGER)
+        # As forces fall steps grow. Where the rod buckles forces rise, and steps keep up with that.
+        rise = force / now.force
+        change = jnp.where(rise < SLOWLY, jnp.clip(1.0 / rise, LONG, LONGER), 1.0)
         length = now.length * jnp.where(good, change, SHORTER)
         worst = jnp.maximum(now.worst, force)
         return _Fall(state, length, z, size, force, worst, now.count + 1)
@@ -146,6 +150,8 @@ def _settled(scene: Scene, guess: Array | None) -> Found:
     start = _Fall(scene.start, scene.step_length, z, size, size, size, none)
     end = lax.while_loop(going, step, start)
     status = jnp.select(
-        [end.size <= enough, end.count >= MOST_STEPS], [Status.OK, Status.TOO_MANY], Status.TOO_SHORT
+        [end.size <= enough, end.count >= MOST_STEPS],
+        [Status.OK, Status.TOO_MANY],
+        Status.TOO_SHORT,
     )
     return end.z, one, status.astype(jnp.int32), end.count, end.size

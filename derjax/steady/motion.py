@@ -144,7 +144,7 @@ def _acts(weight: Gravity) -> bool:
 
 
 def with_part_of_weight(scene: Scene, part: Array | float) -> Scene:
-    """The scene with less gravity: as slow motors turn a robot, so should its weight, on the way."""
+    """The scene with less gravity, so that weight moves a robot no more than a slow motor does."""
     terms = tuple(
         replace(term, acceleration=part * term.acceleration) if isinstance(term, Gravity) else term
         for term in scene.terms
@@ -281,20 +281,21 @@ def rotating_acceleration(scene: Scene, motion: RigidMotion, velocity: Dofs) -> 
     return jnp.concatenate([turning.ravel(), jnp.zeros(len(velocity) - n)])
 
 
-def gauge(scene: Scene, symmetry: Symmetry, q: Dofs) -> Float[Array, " m"]:
-    """Where the shape is and how it is turned: zero at the start. Dimensionless.
+def gauge(scene: Scene, symmetry: Symmetry, anchor: Dofs, q: Dofs) -> Float[Array, " m"]:
+    """Where a shape is and how it is turned, against another one: zero there. Dimensionless.
 
-    The part of the displacement from the start that is a rigid motion of it, lengths in units of
-    that of the rod.
+    The part of the displacement from `anchor` that is a rigid motion of it, lengths in units of
+    that of the rod. Of shapes that differ much it may say little: some can be turned without any
+    change of it.
     """
-    start, still = scene.start.q, jnp.zeros(())
+    still = jnp.zeros(())
     length = jnp.sum(scene.rod.rest_length)
     n = 3 * scene.rod.topology.n_nodes
     unit = jnp.where(np.arange(q.size) < n, length, 1.0)
 
     def generator(unknowns: Float[Array, " m"]) -> Dofs:
-        return rates(scene, symmetry, start, symmetry.motion(unknowns, still), still)
+        return rates(scene, symmetry, anchor, symmetry.motion(unknowns, still), still)
 
     generators = jax.vmap(generator)(jnp.eye(symmetry.size)) / unit
     generators = generators / jnp.linalg.norm(generators, axis=1, keepdims=True)
-    return generators @ ((q - start) / unit)
+    return generators @ ((q - anchor) / unit)

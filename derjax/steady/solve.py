@@ -81,9 +81,15 @@ class Steady:
         if self.status == Status.NOT_STEADY:
             raise SolverError(
                 "forces change as the robot moves and turns as a whole (scaled residual elsewhere "
-                f"{float(self.residual):.2e}), so that it has no steady state: a flow, a force that "
-                "is fixed in space or that changes in time, and [motor] hinge = 'published' do "
-                "that. Simulate it in time."
+                f"{float(self.residual):.2e}), so that it has no steady state: a flow, a force "
+                "that is fixed in space or that changes in time, and [motor] hinge = 'published' "
+                "do that. Simulate it in time."
+            )
+        if not self.ok and self.scene.motor is None:
+            raise SolverError(
+                f"the rod has not come to rest: {Status(int(self.status)).name}, scaled residual "
+                f"{float(self.residual):.2e}. Try loads that grow little by little, each from the "
+                "equilibrium before (guess); nothing else than loads may move what is held."
             )
         if not self.ok:
             reached = float(self.motor_rate) * 60 / (2 * np.pi)
@@ -146,11 +152,20 @@ Found = tuple[Array, Array, Array, Array, Array]
 
 
 class Equations:
-    """The equations of a steady state of a scene, in the unknowns that are free."""
+    """The equations of a steady state of a scene, in the unknowns that are free.
 
-    def __init__(self, scene: Scene, symmetry: Symmetry) -> None:
+    A shape that is moved and turned as a whole solves them as well. The one that is meant has no
+    rigid motion from `anchor`, a shape that should be near (d,); None for the start.
+    """
+
+    def __init__(self, scene: Scene, symmetry: Symmetry, anchor: Array | None = None) -> None:
         self.scene, self.symmetry = scene, symmetry
         self.free = scene.rod.topology.free_dofs
+        self.anchor = scene.start.q if anchor is None else anchor
+
+    def near(self, z: Array) -> "Equations":
+        """With the shape at some unknowns as the anchor."""
+        return Equations(self.scene, self.symmetry, self.split(z)[0])
 
     def start(self) -> Array:
         """At rest, where the scene starts."""
@@ -162,7 +177,9 @@ class Equations:
         turning = replace(self.symmetry, axes=jnp.eye(3))
         still, along = jnp.zeros(()), jnp.eye(turning.size)
         moves = jax.vmap(
-            lambda u: rates(self.scene, turning, self.scene.start.q, turning.motion(u, still), still)
+            lambda u: rates(
+                self.scene, turning, self.scene.start.q, turning.motion(u, still), still
+            )
         )(along)[:, self.free]
         unit = self.scene.newton.force_scale[self.free]
 
@@ -191,8 +208,7 @@ class Equations:
         force = steady_imbalance(scene, self.symmetry, q, unknowns, self.rate(part))
         unit = lax.stop_gradient(self.scene.newton.force_scale)
         scaled = (force / unit)[self.free]
-        return jnp.concatenate([scaled, gauge(self.scene, self.symmetry, q)])
-
+        return jnp.concatenate([scaled, gauge(self.scene, self.symmetry, self.anchor, q)])
 
     def checked(self, found: Found) -> Found:
         """With the status of what has no balance at another time and place."""
@@ -297,7 +313,7 @@ def _along_rates(equations: Equations, guess: Array | None) -> Found:
         return found.size <= ROUNDING * tolerance
 
     if guess is not None:
-        found = newton(equations, guess, one, tolerance)
+        found = newton(equations.near(guess), guess, one, tolerance)
         status = jnp.where(good(found), Status.OK, Status.MAX_ITERATIONS).astype(jnp.int32)
         return found.z, one, status, found.tries, found.size
 
@@ -311,7 +327,7 @@ def _along_rates(equations: Equations, guess: Array | None) -> Found:
         known = now.part > before.part
         ahead = jnp.where(known, (part - now.part) / (now.part - before.part), 0.0)
         guess = jnp.where(now.part > 0.0, now.z + ahead * (now.z - before.z), equations.rigid(part))
-        found = newton(equations, guess, part, tolerance)
+        found = newton(equations.near(now.z), guess, part, tolerance)
         chosen = good(found)
         there, behind = jax.tree.map(
             lambda a, b: jnp.where(chosen, a, b), (_Point(found.z, part), now), (now, before)
@@ -373,9 +389,8 @@ def solved_by(equations: Equations, solution: Found) -> Steady:
     def linear(tangent: Any, y: Array) -> Array:
         return jnp.linalg.solve(jax.jacobian(tangent)(jnp.zeros_like(y)), y)
 
-    z = lax.custom_root(
-        lambda z: equations.residual(z, part), found, lambda _, there: there, linear
-    )
+    here = equations.near(lax.stop_gradient(found))
+    z = lax.custom_root(lambda z: here.residual(z, part), found, lambda _, there: there, linear)
     return _steady(equations, z, part, status, tries, size)
 
 

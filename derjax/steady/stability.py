@@ -25,8 +25,8 @@ from .motion import imbalance, rates, rotating_acceleration
 from .solve import Steady, steady, steady_near
 
 INFINITE = 1e9
-"""Eigenvalues (1/s) that are larger are those of angles without drag: over the rate of the motor, or
-over the slowest of all where nothing turns."""
+"""Eigenvalues (1/s) that are larger are those of angles without drag: over the rate of the motor,
+or over the slowest of all where nothing turns."""
 
 FIRST_STEP, LONGEST_STEP = 0.02, 0.3
 """Of the search for a threshold, over the value itself."""
@@ -126,7 +126,8 @@ def stability(state: Steady) -> Stability:
     matrices = linearisation(state)
     stiffness, drag = np.asarray(matrices.stiffness), np.asarray(matrices.drag)
     topology = state.scene.rod.topology
-    unit = np.asarray(state.scene.newton.force_scale)[topology.free_dofs]
+    scale = np.broadcast_to(state.scene.newton.force_scale, (topology.n_dofs,))
+    unit = scale[topology.free_dofs]
     stiffness, drag = stiffness / unit[:, None], drag / unit[:, None]
     found: Any = scipy.linalg.eig(-stiffness, drag, left=True, right=True, homogeneous_eigvals=True)
     (alpha, beta), left, right = found
