@@ -28,8 +28,8 @@ from derjax import RolloutStats, Scene, State
 from derjax.core.runtime import enable_compilation_cache, use_one_blas_thread
 from derjax.core.status import Status
 from derjax.integrate.frames import new_stats
+from derjax.integrate.step import enlarge
 from derjax.results.bundling import contact_forces
-from derjax.scenes.build import enlarge
 from derjax.scenes.file import SceneFile
 from derjax.terms.contact.repulsion import Contact
 

@@ -48,10 +48,10 @@ from derjax.core.status import Status
 from derjax.integrate.frames import march_frames, new_stats
 from derjax.integrate.schemes.euler import euler
 from derjax.integrate.schemes.trbdf2 import trbdf2
+from derjax.integrate.step import enlarge
 from derjax.results.dataset import to_dataset
 from derjax.results.summary import summarise
 from derjax.rods.kinematics import positions
-from derjax.scenes.build import enlarge
 from derjax.scenes.file import SceneFile
 from derjax.scenes.ingredients.time import TOLERANCES as DEFAULTS
 

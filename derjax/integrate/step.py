@@ -23,7 +23,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from ..core.pytree import pytree, replace, static
-from ..core.status import Status
+from ..core.status import SolverError, Status
 from ..rods.kinematics import positions, tangents
 from ..rods.rod import Rod, State, transport_frames
 from ..solve.blocks import Layout
@@ -33,7 +33,7 @@ from ..solve.saddle import SaddlePointSystem, no_drag
 from ..terms.term import Prediction, Stage, Term, contributions
 from .motor import Motor
 from .predictor import expected_velocity, with_step
-from .provenance import CheckSums, changed
+from .provenance import CheckSums, changed, for_enlarged
 from .step_size import StepSizeController
 
 T = TypeVar("T", bound=Term)
@@ -167,6 +167,22 @@ class Scene:
         lines.append("  terms: " + ", ".join(type(term).__name__ for term in self.terms))
         lines += [f"  {name} = {_short(value)}" for name, value in self.parameters.items()]
         return "\n".join(lines)
+
+
+def enlarge(scene: Scene) -> Scene:
+    """The scene with room for twice as many contacts at one time.
+
+    Raises:
+        SolverError: no term has a list that could be longer.
+    """
+    terms = tuple(term.enlarged() for term in scene.terms)
+    if jax.tree.structure(terms) == jax.tree.structure(scene.terms):
+        names = ", ".join(type(term).__name__ for term in scene.terms)
+        raise SolverError(
+            f"a list of fixed length is full, and none of the terms can have a longer one: {names}"
+        )
+    sums = for_enlarged(scene.check_sums, scene.terms, terms)
+    return replace(scene, terms=terms, check_sums=sums)
 
 
 def _short(value: Any) -> str:

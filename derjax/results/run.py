@@ -13,10 +13,9 @@ from ..core.errors import SolverWarning
 from ..core.pytree import pytree
 from ..core.status import Status
 from ..integrate.frames import RolloutStats, march_frames, roll_frames
-from ..integrate.step import Scene
+from ..integrate.step import Scene, enlarge
 from ..rods.kinematics import positions
 from ..rods.rod import State
-from ..scenes.build import enlarge
 from ..scenes.timing import whole_number
 from . import head as kinematics
 

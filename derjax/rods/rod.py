@@ -181,6 +181,31 @@ def at_rest(topology: Topology, nodes: Float[Array, "n 3"]) -> tuple[Rod, State]
     return rod, state
 
 
+def moved(
+    topology: Topology, state: State, turn: Float[Array, "3 3"], shift: Float[Array, " 3"]
+) -> State:
+    """The state turned about the origin, and then shifted (m): frames and rates as well."""
+    n = 3 * topology.n_nodes
+
+    def turned(vectors: Array) -> Array:
+        return vectors.at[:n].set((positions(topology, vectors) @ turn.T).ravel())
+
+    history = state.history
+    return replace(
+        state,
+        q=turned(state.q).at[:n].add(jnp.tile(shift, topology.n_nodes)),
+        velocity=turned(state.velocity),
+        acceleration=turned(state.acceleration),
+        reference_director=state.reference_director @ turn.T,
+        history=replace(
+            history,
+            mean_velocity=turned(history.mean_velocity),
+            mean_acceleration=turned(history.mean_acceleration),
+            jerk=turned(history.jerk),
+        ),
+    )
+
+
 def transport_frames(rod: Rod, state: State, q: Float[Array, " d"]) -> State:
     """The state at `q`: frames transported in time from `state`, whole turns taken out.
 

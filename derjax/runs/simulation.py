@@ -15,12 +15,12 @@ import numpy as np
 
 from ..core.errors import InputError
 from ..core.status import SolverError, Status
-from ..integrate.step import Scene
+from ..integrate.step import Scene, enlarge
 from ..io.output import Output, output_directory
 from ..io.textfile import read_text
 from ..results import dataset as trajectory
 from ..results import summary as summaries
-from ..scenes.build import build, enlarge
+from ..scenes.build import build
 from ..scenes.file import SceneFile
 from ..scenes.load import load_scene
 from .progress import Progress, interruptible

@@ -11,8 +11,7 @@ from jaxtyping import Array
 
 from ..core.errors import InputError
 from ..core.pytree import Indices, replace
-from ..core.status import SolverError
-from ..integrate.provenance import check_sums, for_enlarged
+from ..integrate.provenance import check_sums
 from ..integrate.step import Scene
 from ..rods.rod import at_rest
 from .file import SceneFile
@@ -125,22 +124,6 @@ def _check_numbers(scene: SceneFile, given: Parameters) -> None:
             f"[fluid] regularization = {changed.regularization:g}: too large for blocks, in which "
             "a robot of many nodes is solved for; give it in the scene file"
         )
-
-
-def enlarge(scene: Scene) -> Scene:
-    """The scene with room for twice as many contacts at one time.
-
-    Raises:
-        SolverError: no term has a list that could be longer.
-    """
-    terms = tuple(term.enlarged() for term in scene.terms)
-    if jax.tree.structure(terms) == jax.tree.structure(scene.terms):
-        names = ", ".join(type(term).__name__ for term in scene.terms)
-        raise SolverError(
-            f"a list of fixed length is full, and none of the terms can have a longer one: {names}"
-        )
-    sums = for_enlarged(scene.check_sums, scene.terms, terms)
-    return replace(scene, terms=terms, check_sums=sums)
 
 
 @partial(jax.jit, static_argnums=(0, 1))  # as one program: quicker than operation by operation

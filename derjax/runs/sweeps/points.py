@@ -15,11 +15,11 @@ from ...core.errors import InputError
 from ...core.pytree import Indices, replace
 from ...core.status import Status
 from ...integrate.frames import RolloutStats, new_stats
-from ...integrate.step import Scene
+from ...integrate.step import Scene, enlarge
 from ...results import dataset as trajectory
 from ...results import summary as summaries
 from ...rods.rod import State
-from ...scenes.build import build, enlarge
+from ...scenes.build import build
 from ...scenes.file import SceneFile
 from ...scenes.ingredients import (
     ContactTable,
