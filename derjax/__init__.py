@@ -65,6 +65,8 @@ from .solve.potential import Quadratic as Quadratic
 from .steady.branch import Branch as Branch
 from .steady.branch import branch as branch
 from .steady.equilibrium import equilibrium as equilibrium
+from .steady.orbit import Orbit as Orbit
+from .steady.orbit import orbit as orbit
 from .steady.solve import Steady as Steady
 from .steady.solve import steady as steady
 from .steady.stability import Stability as Stability

@@ -114,7 +114,7 @@ def symmetry_of(scene: Scene) -> Symmetry:
     if count != 1 or scene.motor is None:
         raise InputError(
             f"{count} motors turn: a steady shape needs one; flagella of several motors pass each "
-            "other in every turn"
+            "other in every turn (derjax.orbit finds motions that repeat themselves)"
         )
     if scene.motor.time.shape[0] != 1:
         raise InputError("the rate of the motor changes in time: a steady shape needs one rate")

@@ -30,13 +30,17 @@ from ..integrate.frames import RolloutStats, march_frames
 from ..integrate.step import Scene, enlarge
 from ..rods.kinematics import angles, positions, tangents
 from ..rods.rod import State, moved, no_history, transport_frames
-from ..rods.vectors import signed_angle
+from ..rods.topology import Topology
+from ..rods.vectors import rotation_about, signed_angle
 
 SLOWEST = 6
 """Turns of the slower motors within which all motors must be back where they were."""
 
 GMRES = 1e-3
 """To how much of the residual a step of Newton's method is solved for."""
+
+PARTS = (1.0, 0.3, 0.1, 0.0)
+"""Of a step of Newton's method, tried one after another."""
 
 EXACT = 1e-8
 """To how much derivatives by parameters are."""
@@ -47,7 +51,7 @@ class _Turn:
     """What one turn of the motors makes of a state.
 
     Attributes:
-        change: (d,) m and rad, of the state, once it is moved back.
+        change: (2 d,) m, rad, m/s and rad/s, of the state, once it is moved back.
         state: at the end, moved back.
         turn, shift: how it has moved: x to turn x + shift (m).
         speed: m/s, along the axis of `turn`, which points as the shape spins.
@@ -55,7 +59,7 @@ class _Turn:
         stats: how the steps went.
     """
 
-    change: Float[Array, " d"]
+    change: Float[Array, " d2"]
     state: State
     turn: Float[Array, "3 3"]
     shift: Float[Array, " 3"]
@@ -146,7 +150,9 @@ def orbit(
 ) -> Orbit:
     """The relative periodic orbit of a robot whose motors turn at constant rates.
 
-    On the host; `Orbit.derivatives` has derivatives.
+    Unknown are positions, angles and their rates where a turn begins; what a step knows of those
+    before it (`State.history`) is left out, and so are accelerations, which only masses feel. On
+    the host; `Orbit.derivatives` has derivatives.
 
     Args:
         scene: of one flagellum or more. Its own scheme is used, with steps of one length.
@@ -177,7 +183,7 @@ def orbit(
         before = residual
         z = program.solve(change, GMRES)
         search.turns += program.products
-        begin = search.turn(begin, program.whole(z)).state
+        begin = search.nearer(begin, program.whole(z))
     raise SolverError(
         f"no orbit was found in {most} Newton steps: in a turn the robot still changes by "
         f"{residual:.1e} of its length. Its motion may not be periodic, as with flagella that "
@@ -194,7 +200,7 @@ class _Search:
 
     def turn(self, begin: State, z: Array | None = None) -> _Turn:
         """A turn from a state that is displaced by z."""
-        z = jnp.zeros_like(begin.q) if z is None else z
+        z = jnp.zeros(2 * begin.q.size) if z is None else z
         self.turns += 1
         done = _one_turn(self.steps, self.scene, begin, self.period, z)
         while int(done.stats.status) == Status.CAPACITY:
@@ -203,6 +209,19 @@ class _Search:
         if not done.stats.ok:
             raise SolverError(f"in a turn of {self.period:.4g} s: {done.stats.message()}")
         return done
+
+    def nearer(self, begin: State, z: Array) -> State:
+        """The end of a turn from where Newton's method leads, or less far where that fails.
+
+        As rods overlap there, say. With no step at all it is one more turn.
+        """
+        for part in PARTS:
+            try:
+                return self.turn(begin, part * z).state
+            except SolverError:
+                if part == 0.0:
+                    raise
+        raise AssertionError("the last part is zero")
 
     def found(self, begin: State, done: _Turn, residual: float, iterations: int) -> Orbit:
         return Orbit(
@@ -250,12 +269,18 @@ def period_of(scene: Scene) -> float:
 def _one_turn(steps: int, scene: Scene, state: State, period: Array, z: Array) -> _Turn:
     topology = scene.rod.topology
     # Without history: else a turn would depend on more than where it begins.
-    begin = transport_frames(scene.rod, state, state.q + z)
-    begin = replace(begin, turns=jnp.zeros_like(state.turns), history=no_history(state.q))
+    apart, faster = jnp.split(z, 2)
+    begin = transport_frames(scene.rod, state, state.q + apart)
+    begin = replace(
+        begin,
+        velocity=state.velocity + faster,
+        turns=jnp.zeros_like(state.turns),
+        history=no_history(state.q),
+    )
     stepping = replace(scene, control=None, step_length=period / steps)
     states, stats = march_frames(stepping, begin, 1, steps)
     end = jax.tree.map(lambda leaf: leaf[-1], states)
-    turn, shift = _fitted(positions(topology, state.q), positions(topology, end.q))
+    turn, shift = fitted(positions(topology, state.q), positions(topology, end.q))
     back = moved(topology, end, turn.T, -turn.T @ shift)
     spin = angles(topology, end.q) + 2 * jnp.pi * end.turns - angles(topology, begin.q)
     # The same shape in the frames of the state that the turn began with.
@@ -265,22 +290,38 @@ def _one_turn(steps: int, scene: Scene, state: State, period: Array, z: Array) -
     other = signed_angle(here.reference_director, back.reference_director, along)
     by = angles(topology, back.q) + other - angles(topology, state.q)
     by = by - 2 * jnp.pi * jnp.round(by / (2 * jnp.pi))
-    change = jnp.concatenate([(back.q - state.q)[:n], by])
+    change = jnp.concatenate([(back.q - state.q)[:n], by, back.velocity - state.velocity])
     back = replace(back, time=state.time)
     axis = _axis(turn)
     axis = axis * lax.stop_gradient(jnp.sign(jnp.sum(spin @ along * axis)))
-    head = topology.head
-    head_rate = jnp.zeros(()) if head is None else jnp.mean(spin[np.array(head.edges)]) / period
+    head_rate = _head_turn(topology, positions(topology, state.q), turn, spin) / period
     return _Turn(change, back, turn, shift, shift @ axis / period, head_rate, stats)
 
 
-def _fitted(before: Float[Array, "n 3"], after: Float[Array, "n 3"]) -> tuple[Array, Array]:
+def fitted(before: Float[Array, "n 3"], after: Float[Array, "n 3"]) -> tuple[Array, Array]:
     """The rigid motion that takes a shape nearest to another one (Kabsch 1976)."""
     a, b = before.mean(axis=0), after.mean(axis=0)
     u, _, vt = jnp.linalg.svd((after - b).T @ (before - a))
     signs = jnp.ones(3).at[2].set(lax.stop_gradient(jnp.sign(jnp.linalg.det(u @ vt))))
     turn = (u * signs) @ vt
     return turn, b - turn @ a
+
+
+def _head_turn(topology: Topology, x: Array, turn: Array, spin: Array) -> Array:
+    """rad, by which the head turns about its own axis: with its edges, or with the whole robot.
+
+    A head with several flagella turns by less than half a turn, else it seems to turn back.
+    """
+    head = topology.head
+    if head is None:
+        return jnp.zeros(())
+    if not head.ahead:
+        return jnp.mean(spin[np.array(head.edges)])
+    axis = _axis(turn)
+    across = rotation_about(axis, 0.5 * jnp.pi) - jnp.outer(axis, axis)
+    angle = jnp.arctan2(jnp.sum(turn * across), jnp.trace(turn) - 1.0)
+    ahead = jnp.mean(x[np.array(head.ahead)], axis=0) - x[head.node]
+    return angle * lax.stop_gradient(jnp.sign(axis @ ahead))
 
 
 def _axis(turn: Float[Array, "3 3"]) -> Float[Array, " 3"]:
@@ -323,7 +364,7 @@ def _by_parameter(
         assert other.motor is not None
         # Motors at another rate are round in another time.
         fastest, now = (jnp.max(jnp.abs(each.motor.rate)) for each in (scene, other))
-        done = _one_turn(steps, other, state, period * fastest / now, jnp.zeros_like(state.q))
+        done = _one_turn(steps, other, state, period * fastest / now, jnp.zeros(2 * state.q.size))
         return done.change, done.speed, done.head_rate
 
     value = jnp.asarray(scene.parameters[name], float)
@@ -336,18 +377,20 @@ class _Program:
     def __init__(self, scene: Scene, state: State, period: float, steps: int) -> None:
         topology = scene.rod.topology
         self.scene, self.state, self.period, self.steps = scene, state, period, steps
-        self.free = topology.free_dofs
+        free = topology.free_dofs
+        self.size = 2 * topology.n_dofs
+        self.free = np.concatenate([free, topology.n_dofs + free])
         length = float(jnp.sum(scene.rod.rest_length))
-        self.unit = np.where(self.free < 3 * topology.n_nodes, length, 1.0)
+        unit = np.where(free < 3 * topology.n_nodes, length, 1.0)
+        self.unit = np.concatenate([unit, 2 * np.pi / period * unit])
         self.products = 0
 
     def whole(self, z: np.ndarray) -> Array:
-        """(d,) m and rad."""
-        size = self.scene.rod.topology.n_dofs
-        return jnp.zeros(size).at[self.free].set(z * self.unit)
+        """(2 d,) m, rad, m/s and rad/s."""
+        return jnp.zeros(self.size).at[self.free].set(z * self.unit)
 
     def of_one_size(self, change: Array) -> np.ndarray:
-        """Free unknowns, from m and rad."""
+        """Free unknowns, from those with units."""
         return np.asarray(change)[self.free] / self.unit
 
     def product(self, z: np.ndarray) -> np.ndarray:

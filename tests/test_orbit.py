@@ -1,0 +1,98 @@
+"""Relative periodic orbits: steady states, long simulations, differences, and wrong input."""
+
+import jax
+import numpy as np
+import pytest
+
+import derjax as dj
+from derjax.steady.orbit import period_of
+
+TINY = {
+    "robot": {"edge_length": 0.02, "helix_radius": 6.4e-3, "pitch": 44.8e-3},
+    "fluid": {"hydrodynamics": "rft"},
+    "motor": {"rpm": 80.0},
+    "time": {"inertia": False, "scheme": "trbdf2", "step": 0.015, "end": 30.0, "frame": 0.75},
+}
+STEPS = 50
+
+
+SEPARATION = 0.1
+"""m, for flagella that do not touch: with contact there are several such motions."""
+
+
+def scene_of(**robot) -> dj.Scene:
+    return dj.build(dj.SceneFile.from_dict(TINY | {"robot": TINY["robot"] | robot}))
+
+
+@pytest.fixture(scope="module")
+def alone() -> tuple[dj.Scene, dj.Orbit]:
+    scene = scene_of()
+    return scene, dj.orbit(scene, steps=STEPS)
+
+
+def test_of_one_flagellum_it_is_the_steady_state(alone):
+    """Speed, head rate, and multipliers exp(eigenvalue T), with errors of steps of time."""
+    scene, found = alone
+    state = dj.steady(scene)
+    assert found.period == pytest.approx(0.75)
+    assert found.speed == pytest.approx(float(state.speed), rel=1e-3)
+    assert found.head_rate == pytest.approx(float(state.head_rate), rel=1e-3)
+    slowest = np.log(np.abs(found.multipliers(2)[0])) / found.period
+    assert slowest == pytest.approx(dj.stability(state).growth_rate, rel=1e-2)
+
+
+def test_derivatives_agree_with_differences(alone):
+    """By a number of the fluid, one of the shape, and the rate of the motor, with its period."""
+    scene, found = alone
+    names = ("C_t", "pitch", "rpm")
+    slopes = found.derivatives(names)
+    for name in names:
+        value = float(scene.parameters[name])
+        h = 2e-3 * value
+        near = [
+            dj.orbit(
+                scene.replace(**{name: value + s * h}), found.state, steps=STEPS, tolerance=1e-9
+            )
+            for s in (1, -1)
+        ]
+        for what in ("speed", "head_rate"):
+            difference = (getattr(near[0], what) - getattr(near[1], what)) / (2 * h)
+            scale = abs(getattr(found, what)) / value
+            assert slopes[name][what] == pytest.approx(difference, rel=2e-4, abs=1e-5 * scale)
+
+
+def test_two_flagella_repeat_themselves_and_a_long_simulation_ends_in_that():
+    """After five turns the robot has moved five times as in one; and after many it was no other."""
+    scene = scene_of(kind="two_flagella", separation=SEPARATION)
+    found = dj.orbit(scene, steps=STEPS)
+    assert np.abs(found.multipliers(2)).max() < 1.0
+    five = dj.rollout(found.scene, end=3.75, state=found.state, reverse_mode=False)
+    five.raise_if_failed()
+    x = np.asarray(five.positions[0])
+    for _ in range(5):
+        x = x @ found.turn.T + found.shift
+    length = np.linalg.norm(np.ptp(x, axis=0))
+    np.testing.assert_allclose(five.positions[-1], x, atol=1e-4 * length)
+    assert float(five.head_angle[-1]) == pytest.approx(3.75 * found.head_rate, rel=1e-3)
+    run = dj.rollout(found.scene, reverse_mode=False)
+    last = jax.tree.map(lambda leaf: leaf[-1], run.states)
+    again = dj.orbit(found.scene, last, steps=STEPS)
+    assert again.iterations <= 1
+    assert again.speed == pytest.approx(found.speed, rel=1e-5)
+    assert again.head_rate == pytest.approx(found.head_rate, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("rpm", "message"),
+    [([80.0, 79.0], "no period of at most 6 turns"), (0.0, "motors that turn")],
+)
+def test_motors_without_a_period_say_so(rpm, message):
+    file = TINY | {"robot": TINY["robot"] | {"kind": "two_flagella"}, "motor": {"rpm": rpm}}
+    with pytest.raises(dj.InputError, match=message):
+        dj.orbit(dj.build(dj.SceneFile.from_dict(file)))
+
+
+@pytest.mark.parametrize(("rpm", "period"), [([80.0, 40.0], 1.5), ([60.0, 90.0], 2.0)])
+def test_motors_at_simple_ratios_have_a_period(rpm, period):
+    file = TINY | {"robot": TINY["robot"] | {"kind": "two_flagella"}, "motor": {"rpm": rpm}}
+    assert period_of(dj.build(dj.SceneFile.from_dict(file))) == pytest.approx(period)
