@@ -13,6 +13,7 @@ orbits.csv, .md and .png.
 import argparse
 import time
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import TypeVar
 
@@ -51,7 +52,7 @@ def changes(run: dj.Run) -> np.ndarray:
     """(turns,) m: the largest displacement of a node in each turn that is no rigid motion."""
     x = np.asarray(run.positions)
     found = []
-    for before, after in zip(x[:-1], x[1:], strict=True):
+    for before, after in pairwise(x):
         turn, shift = (np.asarray(a) for a in fitted(before, after))
         found.append(np.linalg.norm(before @ turn.T + shift - after, axis=1).max())
     return np.array(found)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from derjax import InputError, Scene, SceneFile, State, roll_frames
-from derjax.results.head import head_angle, head_position
+from derjax.rods.head import head_angle, head_position
 from derjax.terms.fluid.head import HeadDrag
 
 from .descent import descend

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from derjax import State, Topology, angles, positions
-from derjax.results.head import head_angle, head_of, head_position
+from derjax.rods.head import head_angle, head_of, head_position
 from derjax.rods.kinematics import material_directors, tangents
 
 CHANNELS = ("x", "y", "z", "head_angle")

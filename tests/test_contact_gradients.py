@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import derjax
-from derjax.results.head import head_position
+from derjax.rods.head import head_position
 from derjax.scenes.file import SceneFile
 from derjax.terms.contact.repulsion import Contact
 from derjax.terms.contact.segments import distance

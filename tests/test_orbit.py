@@ -11,7 +11,8 @@ TINY = {
     "robot": {"edge_length": 0.02, "helix_radius": 6.4e-3, "pitch": 44.8e-3},
     "fluid": {"hydrodynamics": "rft"},
     "motor": {"rpm": 80.0},
-    "time": {"inertia": False, "scheme": "trbdf2", "step": 0.015, "end": 30.0, "frame": 0.75},
+    "time": {"inertia": False, "scheme": "trbdf2", "step": 0.015, "end": 18.0, "frame": 0.75},
+    "contact": {"method": "none"},
 }
 STEPS = 50
 
@@ -42,9 +43,9 @@ def test_of_one_flagellum_it_is_the_steady_state(alone):
 
 
 def test_derivatives_agree_with_differences(alone):
-    """By a number of the fluid, one of the shape, and the rate of the motor, with its period."""
+    """By a number of the shape, and by the rate of the motor, with its period."""
     scene, found = alone
-    names = ("C_t", "pitch", "rpm")
+    names = ("pitch", "rpm")
     slopes = found.derivatives(names)
     for name in names:
         value = float(scene.parameters[name])

@@ -12,7 +12,7 @@ from helpers import potential, rotation
 
 from derjax import InputError, Scene, SceneFile, State, Topology, build, load_scene, positions
 from derjax.core.pytree import replace
-from derjax.results.head import (
+from derjax.rods.head import (
     head_angle,
     head_angular_velocity,
     head_axis,

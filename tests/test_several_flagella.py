@@ -15,7 +15,7 @@ from helpers import acting, potential, rotation
 
 from derjax import RolloutStats, Scene, SceneFile, State, angles, build, march_frames, positions
 from derjax.core.pytree import replace
-from derjax.results.head import head_angular_velocity, head_axis, head_of, head_position, head_spin
+from derjax.rods.head import head_angular_velocity, head_axis, head_of, head_position, head_spin
 from derjax.rods.kinematics import material_directors, tangents
 from derjax.rods.vectors import parallel_transport, signed_angle
 from derjax.terms import HeadDrag, StokesletSegments

@@ -26,6 +26,7 @@ from ..integrate.motor import Motor
 from ..integrate.provenance import changed
 from ..integrate.step import Scene
 from ..io.files import atomic_path, make_room
+from ..rods import head as kinematics
 from ..rods.kinematics import angles, positions
 from ..rods.rod import State
 from ..rods.topology import Topology
@@ -34,7 +35,6 @@ from ..scenes.file import SceneFile
 from ..terms.contact.repulsion import Contact
 from ..terms.fluid.head import HeadDrag
 from . import bundling
-from . import head as kinematics
 
 HDF5_OVERHEAD, HDF5_HEADERS = 1.05, 1 << 17
 """How much larger a file is than its numbers, and its bytes besides them."""

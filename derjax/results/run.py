@@ -14,10 +14,10 @@ from ..core.pytree import pytree
 from ..core.status import Status
 from ..integrate.frames import RolloutStats, march_frames, roll_frames
 from ..integrate.step import Scene, enlarge
+from ..rods import head as kinematics
 from ..rods.kinematics import positions
 from ..rods.rod import State
 from ..scenes.timing import whole_number
-from . import head as kinematics
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -64,7 +64,7 @@ def signed_angle(u: Vector, v: Vector, axis: Vector) -> Scalar:
     return jnp.arctan2(dot(axis, cross(u, v)), dot(u, v))
 
 
-def rotation_about(axis: Float[Array, " 3"], angle: Scalar) -> Float[Array, "3 3"]:
+def rotation_about(axis: Float[Array, " 3"], angle: Array | float) -> Float[Array, "3 3"]:
     """The matrix of a rotation by some angle (rad) about a unit vector (Rodrigues)."""
     across = cross(jnp.broadcast_to(axis, (3, 3)), jnp.eye(3)).T
     return jnp.eye(3) + jnp.sin(angle) * across + (1.0 - jnp.cos(angle)) * across @ across

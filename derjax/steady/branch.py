@@ -102,9 +102,10 @@ class _Plane:
     start: Array
     tangent: Array
 
-    def residual(self, y: Array, distance: Array) -> Array:
-        ahead = self.tangent @ (y - self.start) - distance
-        return jnp.append(self.branch.forces(y, self.start), ahead)
+    def residual(self, z: Array, part: Array) -> Array:
+        """Forces, and how far z is from the distance `part`."""
+        ahead = self.tangent @ (z - self.start) - part
+        return jnp.append(self.branch.forces(z, self.start), ahead)
 
 
 @partial(jax.jit, static_argnums=0)

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -28,10 +29,10 @@ from ..core.pytree import pytree, replace
 from ..core.status import SolverError, Status
 from ..integrate.frames import RolloutStats, march_frames
 from ..integrate.step import Scene, enlarge
+from ..rods.head import head_angle
 from ..rods.kinematics import angles, positions, tangents
 from ..rods.rod import State, moved, no_history, transport_frames
-from ..rods.topology import Topology
-from ..rods.vectors import rotation_about, signed_angle
+from ..rods.vectors import signed_angle
 
 SLOWEST = 6
 """Turns of the slower motors within which all motors must be back where they were."""
@@ -106,8 +107,7 @@ class Orbit:
         What a turn makes of small displacements, rigid motions excluded: all are smaller than one
         where the orbit attracts.
         """
-        import scipy.sparse.linalg as sparse
-
+        sparse = _sparse()
         program = _Program(self.scene, self.state, self.period, self.steps)
         size = len(program.unit)
         operator = sparse.LinearOperator((size, size), matvec=program.product, dtype=float)
@@ -189,6 +189,13 @@ def orbit(
         f"{residual:.1e} of its length. Its motion may not be periodic, as with flagella that "
         "bundle and part again; try more turns first, or a state of a long run."
     )
+
+
+def _sparse() -> Any:
+    """SciPy's iterative methods, which take long to import; their types are not those they take."""
+    import scipy.sparse.linalg
+
+    return scipy.sparse.linalg
 
 
 class _Search:
@@ -278,9 +285,11 @@ def _one_turn(steps: int, scene: Scene, state: State, period: Array, z: Array) -
         history=no_history(state.q),
     )
     stepping = replace(scene, control=None, step_length=period / steps)
-    states, stats = march_frames(stepping, begin, 1, steps)
+    states, stats = march_frames(stepping, begin, steps, 1)
     end = jax.tree.map(lambda leaf: leaf[-1], states)
-    turn, shift = fitted(positions(topology, state.q), positions(topology, end.q))
+    turn, shift = jnp.eye(3), jnp.zeros(3)
+    if not topology.fixed_dofs:
+        turn, shift = fitted(positions(topology, state.q), positions(topology, end.q))
     back = moved(topology, end, turn.T, -turn.T @ shift)
     spin = angles(topology, end.q) + 2 * jnp.pi * end.turns - angles(topology, begin.q)
     # The same shape in the frames of the state that the turn began with.
@@ -294,8 +303,10 @@ def _one_turn(steps: int, scene: Scene, state: State, period: Array, z: Array) -
     back = replace(back, time=state.time)
     axis = _axis(turn)
     axis = axis * lax.stop_gradient(jnp.sign(jnp.sum(spin @ along * axis)))
-    head_rate = _head_turn(topology, positions(topology, state.q), turn, spin) / period
-    return _Turn(change, back, turn, shift, shift @ axis / period, head_rate, stats)
+    every = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), begin, states)
+    turned = jnp.zeros(2) if topology.head is None else head_angle(topology, every)
+    rates = shift @ axis / period, (turned[-1] - turned[0]) / period
+    return _Turn(change, back, turn, shift, *rates, stats)
 
 
 def fitted(before: Float[Array, "n 3"], after: Float[Array, "n 3"]) -> tuple[Array, Array]:
@@ -305,23 +316,6 @@ def fitted(before: Float[Array, "n 3"], after: Float[Array, "n 3"]) -> tuple[Arr
     signs = jnp.ones(3).at[2].set(lax.stop_gradient(jnp.sign(jnp.linalg.det(u @ vt))))
     turn = (u * signs) @ vt
     return turn, b - turn @ a
-
-
-def _head_turn(topology: Topology, x: Array, turn: Array, spin: Array) -> Array:
-    """rad, by which the head turns about its own axis: with its edges, or with the whole robot.
-
-    A head with several flagella turns by less than half a turn, else it seems to turn back.
-    """
-    head = topology.head
-    if head is None:
-        return jnp.zeros(())
-    if not head.ahead:
-        return jnp.mean(spin[np.array(head.edges)])
-    axis = _axis(turn)
-    across = rotation_about(axis, 0.5 * jnp.pi) - jnp.outer(axis, axis)
-    angle = jnp.arctan2(jnp.sum(turn * across), jnp.trace(turn) - 1.0)
-    ahead = jnp.mean(x[np.array(head.ahead)], axis=0) - x[head.node]
-    return angle * lax.stop_gradient(jnp.sign(axis @ ahead))
 
 
 def _axis(turn: Float[Array, "3 3"]) -> Float[Array, " 3"]:
@@ -360,15 +354,21 @@ def _by_parameter(
         other = scene.replace(**{name: value})
         for _ in range(enlarged):
             other = enlarge(other)
-        assert scene.motor is not None
-        assert other.motor is not None
-        # Motors at another rate are round in another time.
-        fastest, now = (jnp.max(jnp.abs(each.motor.rate)) for each in (scene, other))
-        done = _one_turn(steps, other, state, period * fastest / now, jnp.zeros(2 * state.q.size))
+        # Motors at another rate are round in another time, and what is held may stand elsewhere.
+        time = period * _fastest(scene) / _fastest(other)
+        held = np.array(scene.rod.topology.fixed_dofs, int)
+        apart = (other.start.q - scene.start.q)[held]
+        z = jnp.zeros(2 * state.q.size).at[held].set(apart)
+        done = _one_turn(steps, other, state, time, z)
         return done.change, done.speed, done.head_rate
 
     value = jnp.asarray(scene.parameters[name], float)
     return jax.jvp(turned, (value,), (jnp.ones_like(value),))[1]
+
+
+def _fastest(scene: Scene) -> Array:
+    """rad/s, of the motors."""
+    return jnp.zeros(()) if scene.motor is None else jnp.max(jnp.abs(scene.motor.rate))
 
 
 class _Program:
@@ -401,8 +401,7 @@ class _Program:
 
     def solve(self, b: np.ndarray, tolerance: float) -> np.ndarray:
         """The z with z - product(z) = b."""
-        import scipy.sparse.linalg as sparse
-
+        sparse = _sparse()
         if not np.any(b):
             return np.zeros_like(b)
         size = len(b)

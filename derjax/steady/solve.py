@@ -1,6 +1,6 @@
 """Steady swimming, solved for by Newton's method along growing rates of the motor."""
 
-from typing import Any
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -256,8 +256,14 @@ class _Iterate:
     stalled: Array
 
 
+class Residual(Protocol):
+    """What `newton` makes vanish."""
+
+    def residual(self, z: Array, part: Array) -> Array: ...
+
+
 def newton(
-    equations: Equations,
+    equations: Residual,
     guess: Array,
     part: Array,
     tolerance: Array,

@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..rods.kinematics import angles, positions
-from ..rods.rod import State
-from ..rods.topology import Head, Topology
-from ..rods.vectors import cross, dot, parallel_transport, signed_angle, unit
+from .kinematics import angles, positions
+from .rod import State
+from .topology import Head, Topology
+from .vectors import cross, dot, parallel_transport, signed_angle, unit
 
 
 def head_of(topology: Topology) -> Head:
