@@ -11,7 +11,7 @@ TINY = {
     "robot": {"edge_length": 0.02, "helix_radius": 6.4e-3, "pitch": 44.8e-3},
     "fluid": {"hydrodynamics": "rft"},
     "motor": {"rpm": 80.0},
-    "time": {"inertia": False, "scheme": "trbdf2", "step": 0.015, "end": 18.0, "frame": 0.75},
+    "time": {"inertia": False, "scheme": "trbdf2", "step": 0.015, "end": 30.0, "frame": 0.75},
     "contact": {"method": "none"},
 }
 STEPS = 50
