@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..core.pytree import replace
+from ..core.status import Status
 from ..steady.motion import imbalance
 from ..steady.solve import Steady
 from ..terms.fluid.head import HeadDrag
@@ -32,6 +33,9 @@ NAMES = (
     "status",
 )
 """Columns of `steady.csv` after the parameter that is varied; see `row`."""
+
+WORDS = {Status.OK: "ok", Status.NOT_STEADY: "not steady"}
+"""In the column `status`, where they are not "no steady state"."""
 
 Row = dict[str, Any]
 
@@ -62,7 +66,7 @@ def row(state: Steady, growth_rate: float | None = None, frequency: float | None
     """
     numbers: Row = dict.fromkeys(NAMES)
     numbers |= {
-        "status": "ok" if state.ok else "no steady state",
+        "status": WORDS.get(Status(int(state.status)), "no steady state"),
         "iterations": int(state.iterations),
         "residual": float(state.residual),
         "growth_rate_per_s": growth_rate,

@@ -194,7 +194,10 @@ def _compute(
                 break
     good = {value: pair for value, pair in found.items() if pair[0].ok}
     if not good and not stopped:
-        raise SolverError(f"{options.scene}: no steady state at any of {len(values)} values")
+        reason = found[values[0]][0].message()
+        raise SolverError(
+            f"{options.scene}: no steady state at any of {len(values)} values. The first: {reason}"
+        )
     zeros = _thresholds(good, name) if options.stability and not stopped else []
     _write_table(rows, record | {"thresholds": zeros}, output)
     _write_states(good, name, options, output)
@@ -321,6 +324,7 @@ def _tell(
     print(frame[list(shown)].to_string(index=False))
     for zero in zeros:
         print(f"stability changes at {name} = {zero:.6g}")
-    if failed := [value for value, (state, _) in found.items() if not state.ok]:
-        print(f"no steady state at {name} = {', '.join(f'{v:g}' for v in failed)}")
+    for value, (state, _) in found.items():
+        if not state.ok:
+            print(f"{name} = {value:g}: {state.message()}")
     print(f"results in {options.output}")

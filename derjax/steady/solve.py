@@ -76,28 +76,32 @@ class Steady:
         """Whether there is a steady state."""
         return bool(self.status == Status.OK)
 
+    def message(self) -> str:
+        """A sentence on why there is no steady state, and what to try."""
+        left = f"scaled residual {float(self.residual):.2e}"
+        if self.ok:
+            return f"all forces balance ({left})"
+        if self.status == Status.NOT_STEADY:
+            return (
+                f"forces change as the robot moves and turns as a whole ({left} elsewhere), so "
+                "that it has no steady state: a flow, a force that is fixed in space or that "
+                "changes in time, and [motor] hinge = 'published' do that. Simulate it in time."
+            )
+        if self.scene.motor is None:
+            return (
+                f"the rod has not come to rest ({Status(int(self.status)).name}, {left}). Try "
+                "loads that grow little by little, each from the equilibrium before (guess)."
+            )
+        reached = float(self.motor_rate) * 60 / (2 * np.pi)
+        return (
+            f"no steady state was found beyond {reached:.6g} rpm ({left}): the branch may turn "
+            "back there. Try a slower motor, another start of the search (guess), or derjax.branch."
+        )
+
     def raise_if_failed(self) -> None:
         """Raise `SolverError` with the rate that was reached, and what to try, if there is none."""
-        if self.status == Status.NOT_STEADY:
-            raise SolverError(
-                "forces change as the robot moves and turns as a whole (scaled residual elsewhere "
-                f"{float(self.residual):.2e}), so that it has no steady state: a flow, a force "
-                "that is fixed in space or that changes in time, and [motor] hinge = 'published' "
-                "do that. Simulate it in time."
-            )
-        if not self.ok and self.scene.motor is None:
-            raise SolverError(
-                f"the rod has not come to rest: {Status(int(self.status)).name}, scaled residual "
-                f"{float(self.residual):.2e}. Try loads that grow little by little, each from the "
-                "equilibrium before (guess); nothing else than loads may move what is held."
-            )
         if not self.ok:
-            reached = float(self.motor_rate) * 60 / (2 * np.pi)
-            raise SolverError(
-                f"no steady state was found beyond {reached:.6g} rpm (scaled residual "
-                f"{float(self.residual):.2e}): the branch may turn back there. Try "
-                "a slower motor, or another start of the search (guess)."
-            )
+            raise SolverError(self.message())
 
     @property
     def positions(self) -> Float[Array, "n 3"]:
