@@ -18,8 +18,8 @@ from ..core.errors import InputError
 from ..core.pytree import pytree, replace, static
 from ..integrate.schemes.contact_corrected import contact_corrected_euler
 from ..integrate.step import Scene, moving_stage
-from ..rods.kinematics import angles, positions, tangents
-from ..rods.rod import State, transport_frames
+from ..rods.kinematics import positions, tangents
+from ..rods.rod import State, moved, transport_frames
 from ..rods.topology import Topology
 from ..rods.vectors import cross, rotation_about
 from ..solve.potential import Contribution, Dofs
@@ -215,19 +215,18 @@ def elsewhere(
     # A motor at rest does not turn on.
     onwards = LATER * jnp.sign(rate)
 
-    def moved(q: Dofs) -> Dofs:
-        x = (positions(topology, q) - pivot) @ turn.T + pivot + shift
-        return jnp.concatenate([x.ravel(), angles(topology, q) + onwards * symmetry.own_spin])
-
+    offset = pivot - turn @ pivot + shift
+    spun = jnp.concatenate([jnp.zeros(3 * topology.n_nodes), onwards * symmetry.own_spin])
+    later = moved(topology, start, turn, offset)
+    there = moved(topology, replace(start, q=q), turn, offset).q + spun
     later = replace(
-        start,
-        q=moved(start.q),
-        reference_director=start.reference_director @ turn.T,
+        later,
+        q=later.q + spun,
         motor_angle=start.motor_angle + onwards,
         time=start.time + jnp.where(rate == 0.0, 0.0, LATER / jnp.where(rate == 0.0, 1.0, rate)),
     )
     velocity = turn @ motion.velocity - cross(turn @ motion.rotation, shift)
-    return replace(scene, initial=later), moved(q), RigidMotion(velocity, turn @ motion.rotation)
+    return replace(scene, initial=later), there, RigidMotion(velocity, turn @ motion.rotation)
 
 
 @jax.jit  # traced once, and not for every program and derivative that asks
