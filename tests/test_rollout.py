@@ -53,6 +53,28 @@ def test_a_rollout_continues_another():
     assert int(full.iterations) == int(report.iterations)
 
 
+def test_a_step_is_traced_once_for_all_programs():
+    """And for all loops and derivatives that take it: tracing is what compiling costs first."""
+    traced = []
+
+    def counted(scene, state, length):
+        traced.append(length)
+        return euler(scene, state, length)
+
+    scene, start = falling_rod()
+    scene = replace(scene, scheme=counted)
+    for program in (derjax.march_frames, derjax.roll_frames):
+
+        def end(pull, program=program):
+            gravity = replace(scene.terms[-1], acceleration=pull * scene.terms[-1].acceleration)
+            pulled = replace(scene, terms=(*scene.terms[:-1], gravity))
+            return program(pulled, start, 2, 3)[0].q[-1]
+
+        jax.jit(end).trace(1.0)
+        jax.jit(jax.jacfwd(end)).trace(1.0)
+    assert len(traced) == 1
+
+
 def test_first_order_in_time():
     scene, start = falling_rod()
     ends = []

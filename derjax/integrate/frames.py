@@ -227,7 +227,10 @@ def _going(run: _Run) -> Array:
 
 @jax.jit
 def _attempt(scene: Scene, run: _Run) -> _Run:
-    """One try of a step."""
+    """One try of a step; compiled, so that JAX traces it once for all programs and loops.
+
+    Loops within loops would else be traced again, several times each, for every derivative.
+    """
     if scene.control is None:
         return _fixed(scene, run)
     return _adaptive(scene, run, scene.control)
