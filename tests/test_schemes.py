@@ -28,7 +28,7 @@ from derjax.integrate.frames import new_stats
 from derjax.integrate.schemes.euler import euler
 from derjax.integrate.schemes.trbdf2 import D, trbdf2
 from derjax.integrate.step_size import StepSizeController
-from derjax.results import head as kinematics
+from derjax.rods import head as kinematics
 from derjax.rods.rod import Rod
 from derjax.solve.newton import NewtonSettings
 from derjax.solve.potential import Contribution, Diagonal
