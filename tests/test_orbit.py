@@ -93,6 +93,21 @@ def test_motors_without_a_period_say_so(rpm, message):
         dj.orbit(dj.build(dj.SceneFile.from_dict(file)))
 
 
+def test_names_that_are_no_numbers_are_told(alone):
+    scene, found = alone
+    with pytest.raises(KeyError, match="speed: no such parameter; the scene has C_r"):
+        found.derivatives(["speed"])
+    with pytest.raises(KeyError, match="no such parameter"):
+        dj.branch(scene, "speed", 1.0)
+    two = dj.build(
+        dj.SceneFile.from_dict(
+            TINY | {"robot": {"kind": "two_flagella"}, "motor": {"rpm": [60.0, 50.0]}}
+        )
+    )
+    with pytest.raises(ValueError, match="rpm: has several values"):
+        dj.branch(two, "rpm", 80.0)
+
+
 @pytest.mark.parametrize(("rpm", "period"), [([80.0, 40.0], 1.5), ([60.0, 90.0], 2.0)])
 def test_motors_at_simple_ratios_have_a_period(rpm, period):
     file = TINY | {"robot": TINY["robot"] | {"kind": "two_flagella"}, "motor": {"rpm": rpm}}

@@ -138,6 +138,20 @@ class Scene:
         self._check_as_built()
         return self.source.rebuilt(self, parameters)
 
+    def number(self, name: str) -> float:
+        """A parameter that is one number, by its name.
+
+        Raises:
+            KeyError: a parameter that the scene does not have.
+            ValueError: it has a value for each flagellum or motor.
+        """
+        if name not in self.parameters:
+            known = ", ".join(self.parameters) or "none, as it was not built from a scene file"
+            raise KeyError(f"{name}: no such parameter; the scene has {known}")
+        if np.ndim(self.parameters[name]) > 0:
+            raise ValueError(f"{name}: has several values; this needs one number")
+        return float(self.parameters[name])
+
     def with_term(self, *terms: Term) -> "Scene":
         """The scene with more physical ingredients."""
         return replace(self, terms=(*self.terms, *terms))

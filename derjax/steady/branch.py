@@ -169,13 +169,13 @@ def branch(
         KeyError: a parameter that the scene does not have.
         SolverError: there is no steady state to start from.
     """
+    first = scene.number(name)
     if known is None:
         known = steady(scene)
     known.raise_if_failed()
     held = known.scene.motor is None
     family = _Family(name, held)
     symmetry = known.symmetry if held else symmetry_of(scene)
-    first = float(scene.parameters[name])
     equations = still(scene) if held else Equations(scene, symmetry)
     z = unknowns_of(equations, known)
     scale = _scales(equations, z, abs(stop - first))

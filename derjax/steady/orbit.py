@@ -121,10 +121,15 @@ class Orbit:
         """Of speed (m/s) and head rate (rad/s) by parameters of the scene, by name.
 
         Exact for the steps of time that are taken, by the implicit function theorem.
+
+        Raises:
+            KeyError: a parameter that the scene does not have.
+            ValueError: one with several values.
         """
         program = _Program(self.scene, self.state, self.period, self.steps)
         found = {}
         for name in names:
+            self.scene.number(name)
             along = _by_parameter(
                 name, self.enlarged, self.scene, self.state, self.steps, self.period
             )

@@ -272,7 +272,7 @@ def threshold(
     Raises:
         SolverError: no threshold was found, or no steady state on the way to it.
     """
-    value = float(scene.parameters[name] if start is None else start)
+    value = scene.number(name) if start is None else start
     before: tuple[float, float] | None = None
     known: Steady | None = None
     for count in range(1, most + 1):
