@@ -26,6 +26,7 @@ from derjax.core.runtime import enable_compilation_cache, use_one_blas_thread
 from derjax.runs.batch import build_many, march_many, pick
 from derjax.scenes.file import SceneFile
 
+from .batch import seconds
 from .tables import write
 
 STEPS, ROUNDS = 50, 2
@@ -70,13 +71,6 @@ def gradients(file: SceneFile, size: int) -> Callable[[], np.ndarray]:
     )
     values = jnp.stack([jnp.asarray(numbers(size)[name]) for name in ("C_t", "rpm")], axis=-1)
     return lambda: np.asarray(gradient(values))
-
-
-def seconds(program: Callable[[], object]) -> float:
-    """Wall time of a program."""
-    began = time.perf_counter()
-    program()
-    return time.perf_counter() - began
 
 
 def measure(
