@@ -28,7 +28,7 @@ import numpy as np
 import pandas as pd
 
 import derjax
-from derjax.core.runtime import enable_compilation_cache, use_one_blas_thread
+from derjax.core.runtime import enable_compilation_cache
 from derjax.runs.batch import ALL, advance, build_many, processors, shard, use_all_processors
 from derjax.scenes.file import SceneFile
 
@@ -176,7 +176,6 @@ def main() -> None:
     parser.add_argument("--rows", action="store_true", help="only print rows, for this process")
     arguments = parser.parse_args()
     enable_compilation_cache()
-    use_one_blas_thread()
     use_all_processors()
     if arguments.rows:
         print(json.dumps(measure(arguments.end, arguments.rounds)))

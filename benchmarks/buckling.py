@@ -1,6 +1,6 @@
 """How fast a motor may turn before the flagellum of the robot buckles.
 
-    python -m benchmarks.buckling [-o docs/figures] [--only VARIANT ...] [--redraw]
+    python -m benchmarks.buckling [-o docs/figures] [--only VARIANT ...] [--workers 1] [--redraw]
 
 The single-flagellum robot, its helix of radius r = 6.4 mm and pitch 5, 7 or 9 times 6.36 mm, is
 turned from rest at a constant rate for 60 s. Over the last 20 s it measures L' / L'(0): the
@@ -37,10 +37,13 @@ from jaxtyping import Array, Float
 import derjax
 from derjax import RolloutStats, Scene, SceneFile, State
 from derjax.integrate.frames import new_stats
-from derjax.runs.progress import Progress
+
+from .parallel import in_parallel
 
 PITCHES = (5, 7, 9)
 RPM = (30.0, 50.0, *np.arange(75.0, 301.0, 25.0).tolist())
+WIDE = np.arange(150.0, 451.0, 50.0).tolist()
+"""rpm, where it is not known where to look."""
 END, WINDOW = 60.0, 20.0
 """Length of a run, and of its last part, over which is averaged; s."""
 STEPS_PER_CALL = 200
@@ -56,19 +59,28 @@ SEARCHED = {5: (150.0, 200.0), 7: (250.0, 300.0)}
 """The same in rpm: between these the variants look for buckling."""
 
 DEFAULT = "default, step 10 ms"
+PUBLISHED_HINGE = {"hinge": "published"}
 INDEPENDENT_FLUID = {"end_nodes": "full", "drag_matrix": "lower_triangle"}
+FINE = {"step": 5e-3}
 VARIANTS: dict[str, dict] = {
     DEFAULT: {},
-    "step 5 ms": {"time": {"step": 5e-3}},
+    "step 5 ms": {"time": FINE},
     "step 2.5 ms": {"time": {"step": 2.5e-3}},
-    # At pitch 7 r the first step of 10 ms fails: without a potential, Newton's method stands
-    # less of a jump of the motor from rest to its rate.
-    "full end nodes, lower triangle": {"fluid": INDEPENDENT_FLUID},
-    "full end nodes, lower triangle, step 5 ms": {
+    "published hinge": {"motor": PUBLISHED_HINGE},
+    "published hinge, step 5 ms": {"motor": PUBLISHED_HINGE, "time": FINE},
+    "published hinge, full end nodes, lower triangle, step 5 ms": {
+        "motor": PUBLISHED_HINGE,
         "fluid": INDEPENDENT_FLUID,
-        "time": {"step": 5e-3},
+        "time": FINE,
     },
 }
+for _eps in (0.167e-3, 2.64e-3):
+    for _hinge in ("rigid", "published"):
+        VARIANTS[f"eps {1e3 * _eps:g} mm, {_hinge} hinge, step 5 ms"] = {
+            "motor": {"hinge": _hinge},
+            "fluid": {"regularization": _eps},
+            "time": FINE,
+        }
 COLOURS = {5: "#0072b2", 7: "#d55e00", 9: "#009e73"}
 PLAIN = {"facecolor": "white", "edgecolor": "none"}
 MARKERS = {5: "o", 7: "s", 9: "^"}
@@ -143,13 +155,11 @@ def simulate(file: SceneFile, rpm: float) -> Length:
     state = built.start
     lengths = [np.atleast_1d(head_to_tail(built, state.q))]
     report, n_steps = new_stats(), file.n_steps
-    with Progress(n_steps, "steps") as progress:
-        for done in range(0, n_steps, STEPS_PER_CALL):
-            state, length, report = _advance(built, state, report)
-            lengths.append(np.asarray(length))
-            progress.update(min(done + STEPS_PER_CALL, n_steps))
-            if not report.ok:
-                break
+    for _ in range(0, n_steps, STEPS_PER_CALL):
+        state, length, report = _advance(built, state, report)
+        lengths.append(np.asarray(length))
+        if not report.ok:
+            break
     kept = 1 + min(int(report.steps), n_steps)
     ratio = np.concatenate(lengths)[:kept] / lengths[0]
     return Length(file.step * np.arange(kept), ratio, report)
@@ -211,9 +221,15 @@ def study(variant: str, ratio: int) -> list[dict]:
 
     if variant == DEFAULT:
         refined(measured, RPM, halvings=2)
+    elif "regularization" in VARIANTS[variant].get("fluid", {}):
+        refined(measured, WIDE, halvings=3)
     else:
         refined(measured, SEARCHED[ratio], halvings=3)
     return sorted(rows, key=lambda row: row["rpm"])
+
+
+def _named(case: tuple[str, int]) -> tuple[tuple[str, int], list[dict]]:
+    return case, study(*case)
 
 
 def cases(variants: Iterable[str]) -> list[tuple[str, int]]:
@@ -360,16 +376,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
     parser.add_argument("--only", nargs="+", choices=list(VARIANTS), default=list(VARIANTS))
+    parser.add_argument("--workers", type=int, default=1, help="processes")
     parser.add_argument("--redraw", action="store_true", help="from buckling.csv, no simulation")
     options = parser.parse_args()
     if options.redraw:
         write(pd.read_csv(options.output / "buckling.csv"), options.output)
         return
-    rows = []
-    for variant, ratio in cases(options.only):
-        rows += study(variant, ratio)
-        write(pd.DataFrame(rows), options.output)
-    print(markdown(pd.DataFrame(rows)))
+    wanted, found = cases(options.only), {}
+    for case, rows in in_parallel(_named, wanted, options.workers):
+        found[case] = rows
+        table = pd.DataFrame([row for case in wanted for row in found.get(case, [])])
+        write(table, options.output)
+    print(markdown(table))
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from derjax import SceneFile
-from derjax.core.runtime import enable_compilation_cache, use_one_blas_thread
+from derjax.core.runtime import enable_compilation_cache
 from derjax.io.files import atomic_path
 from fitting.calibrate import calibrate
 from fitting.model import Model
@@ -279,7 +279,6 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=FIGURES)
     args = parser.parse_args()
     enable_compilation_cache()
-    use_one_blas_thread()
     path = args.output / "calibration.csv"
     rows = read(path)
     if not args.figure:

@@ -20,7 +20,7 @@ import matplotlib.pyplot as plt
 import pandas as pd
 
 import derjax
-from derjax.core.runtime import enable_compilation_cache, use_one_blas_thread
+from derjax.core.runtime import enable_compilation_cache
 from derjax.scenes.file import SceneFile
 
 from .tables import write
@@ -127,7 +127,6 @@ def main() -> None:
     parser.add_argument("--longest", type=int, default=max(LENGTHS), help="steps")
     arguments = parser.parse_args()
     enable_compilation_cache()
-    use_one_blas_thread()
     rows = [row for n in LENGTHS if n <= arguments.longest for row in measure(n)]
     table = pd.DataFrame(rows)
     formats = {"steps": "d", "mode": "", "ms_per_step": ".3g", "relative": ".2f"}

@@ -22,7 +22,6 @@ import matplotlib.pyplot as plt
 import pandas as pd
 
 import derjax
-from derjax.core.runtime import use_one_blas_thread
 from derjax.integrate.frames import march_frames, new_stats
 from derjax.scenes.file import SceneFile
 
@@ -163,7 +162,6 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
     parser.add_argument("--steps", type=int, default=100, help="that are timed")
     arguments = parser.parse_args()
-    use_one_blas_thread()
     table = measure(arguments.steps)
     formats = {
         "scene": "",

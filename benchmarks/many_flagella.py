@@ -25,7 +25,7 @@ import pandas as pd
 
 import derjax
 from derjax import RolloutStats, Scene, State
-from derjax.core.runtime import enable_compilation_cache, use_one_blas_thread
+from derjax.core.runtime import enable_compilation_cache
 from derjax.core.status import Status
 from derjax.integrate.frames import new_stats
 from derjax.integrate.step import enlarge
@@ -171,7 +171,6 @@ def main() -> None:
     parser.add_argument("--end", type=float, default=20.0, help="s")
     arguments = parser.parse_args()
     enable_compilation_cache()
-    use_one_blas_thread()
     table = pd.DataFrame([row for n in arguments.flagella for row in measure(n, arguments.end)])
     rows = []
     for n, part in table.groupby("flagella"):

@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 
 import derjax as dj
-from derjax.core.runtime import enable_compilation_cache, use_one_blas_thread
+from derjax.core.runtime import enable_compilation_cache
 from derjax.steady.orbit import fitted
 
 from .tables import write
@@ -126,7 +126,6 @@ def main() -> None:
     parser.add_argument("--turns", type=int, default=60)
     arguments = parser.parse_args()
     enable_compilation_cache()
-    use_one_blas_thread()
     rows, settling = [], {}
     for ratio in PITCHES:
         found, settling[ratio] = measure(ratio, arguments.turns)

@@ -30,7 +30,7 @@ import pandas as pd
 from scipy.optimize import brentq
 
 import derjax
-from derjax.core.runtime import enable_compilation_cache, use_one_blas_thread
+from derjax.core.runtime import enable_compilation_cache
 from derjax.integrate.frames import march_frames, new_stats
 from derjax.results.dataset import to_dataset
 from derjax.results.summary import summarise
@@ -253,7 +253,6 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
     arguments = parser.parse_args()
     enable_compilation_cache()
-    use_one_blas_thread()
     rod, same, robot = rods(), equivalents(), robots()
     output = arguments.output
     output.mkdir(parents=True, exist_ok=True)

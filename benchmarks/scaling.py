@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 import derjax
-from derjax.core.runtime import enable_compilation_cache, use_one_blas_thread
+from derjax.core.runtime import enable_compilation_cache
 from derjax.integrate.frames import new_stats
 from derjax.scenes.file import SceneFile
 
@@ -123,7 +123,6 @@ def main() -> None:
     parser.add_argument("--only", choices=("many", "fine"), help="one of the two ways")
     arguments = parser.parse_args()
     enable_compilation_cache()
-    use_one_blas_thread()
     rows = []
     for method, limit in (("blocks", arguments.largest), ("dense", LARGEST_DENSE)):
         for n in FLAGELLA:

@@ -17,7 +17,6 @@ from scipy.optimize import brentq
 
 import derjax
 from derjax import SceneFile
-from derjax.core.runtime import use_one_blas_thread
 from derjax.integrate.frames import march_frames
 from derjax.results.dataset import to_dataset
 from derjax.results.summary import summarise
@@ -93,7 +92,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
     arguments = parser.parse_args()
-    use_one_blas_thread()
     table = measure()
     formats = {
         "rpm": ".0f",

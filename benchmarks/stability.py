@@ -48,7 +48,7 @@ from pydantic import ValidationError
 import derjax
 from derjax import InputError, RolloutStats, Scene, SceneFile, State, Status
 from derjax.core.pytree import replace
-from derjax.core.runtime import enable_compilation_cache, use_one_blas_thread
+from derjax.core.runtime import enable_compilation_cache
 from derjax.integrate.frames import SEGMENTS, TRIES, _attempt, _going, _Run, new_stats
 from derjax.io.files import atomic_path
 from derjax.runs.progress import Progress, interruptible
@@ -665,7 +665,6 @@ def main() -> int:
         write(table, options.output)
         return 0
     enable_compilation_cache()
-    use_one_blas_thread()
     wanted = cases(options.only or AXES)
     again = set() if options.resume else {case.key for case in wanted}
     rows = [r for r in load(path) if (r["axis"], r["value"], r["scheme"]) not in again]

@@ -20,7 +20,6 @@ import pandas as pd
 
 import derjax as dj
 from derjax.results import steady as results
-from derjax.steady.solve import steady_near
 
 from .buckling import omega_bar, robot
 from .tables import markdown
@@ -63,7 +62,7 @@ def rows(pitch: float, rates: np.ndarray | tuple[float, ...]) -> list[dict]:
     found, known = [], None
     for rpm in rates:
         began = time.perf_counter()
-        state = jax.block_until_ready(steady_near(scene(pitch, rpm), known))
+        state = jax.block_until_ready(dj.steady(scene(pitch, rpm), known))
         took = time.perf_counter() - began
         state.raise_if_failed()
         modes = dj.stability(state)
@@ -77,7 +76,7 @@ def growth(pitch: float) -> pd.DataFrame:
     """The growth rate of the leading mode over the rate of the motor."""
     found, known = [], None
     for rpm in RATES_OF_GROWTH:
-        state = steady_near(scene(pitch, rpm), known)
+        state = dj.steady(scene(pitch, rpm), known)
         state.raise_if_failed()
         modes = dj.stability(state)
         found.append({"rpm": rpm, "growth": modes.growth_rate, "frequency": modes.frequency})
@@ -121,7 +120,7 @@ def cost() -> str:
     def curve() -> None:
         known = None
         for rpm in rates:
-            known = steady_near(first.replace(rpm=rpm), known)
+            known = dj.steady(first.replace(rpm=rpm), known)
             known.raise_if_failed()
 
     def simulations() -> None:

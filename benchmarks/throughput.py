@@ -22,7 +22,7 @@ import numpy as np
 import pandas as pd
 
 import derjax
-from derjax.core.runtime import enable_compilation_cache, use_one_blas_thread
+from derjax.core.runtime import enable_compilation_cache
 from derjax.runs.batch import build_many, march_many, pick
 from derjax.scenes.file import SceneFile
 
@@ -119,7 +119,6 @@ def main() -> None:
     parser.add_argument("--sizes", type=int, nargs="+", default=SIZES, help="runs in a batch")
     arguments = parser.parse_args()
     enable_compilation_cache()
-    use_one_blas_thread()
     device = jax.devices()[0]
     name = "cpu" if device.platform == "cpu" else device.device_kind
     rows: list[dict] = []

@@ -43,7 +43,7 @@ from scipy.interpolate import CubicSpline
 
 import derjax
 from derjax.core.pytree import replace
-from derjax.core.runtime import enable_compilation_cache, use_one_blas_thread
+from derjax.core.runtime import enable_compilation_cache
 from derjax.core.status import Status
 from derjax.integrate.frames import march_frames, new_stats
 from derjax.integrate.schemes.euler import euler
@@ -709,7 +709,6 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, help="where runs are kept")
     arguments = parser.parse_args()
     enable_compilation_cache()
-    use_one_blas_thread()
     kept = Path(tempfile.gettempdir()) / f"derjax_work_precision_{contents()}"
     runs = Runs(arguments.cache or kept)
     cases = [arguments.only] if arguments.only else list(CASES)

@@ -6,7 +6,8 @@
     scene = dj.build(file, {"C_t": 4.0})        # scene.start is the robot at rest
     run = dj.rollout(scene, end=20.0)           # run.head_position, run.summary(), run.plot()
 
-Importing derjax switches JAX to 64-bit floating point: slender rods are too stiff for 32 bits.
+Importing derjax switches JAX to 64-bit floating point, as slender rods are too stiff for 32 bits,
+and SciPy's linear algebra to one thread, unless `OPENBLAS_NUM_THREADS` or its like says otherwise.
 """
 
 import os
@@ -19,6 +20,10 @@ os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 import jax
 
 jax.config.update("jax_enable_x64", True)
+
+from .core.runtime import use_one_blas_thread
+
+use_one_blas_thread()
 
 from . import robots as robots
 from .core.errors import InputError as InputError
@@ -64,6 +69,7 @@ from .solve.potential import Pairs as Pairs
 from .solve.potential import Quadratic as Quadratic
 from .steady.branch import Branch as Branch
 from .steady.branch import branch as branch
+from .steady.curve import steady_curve as steady_curve
 from .steady.equilibrium import equilibrium as equilibrium
 from .steady.orbit import Orbit as Orbit
 from .steady.orbit import orbit as orbit
@@ -94,4 +100,4 @@ from .terms.elastic import elasticity as elasticity
 
 __version__ = version("derjax")
 
-del jax, os, version
+del jax, os, use_one_blas_thread, version

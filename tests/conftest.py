@@ -20,7 +20,7 @@ import jax
 import numpy as np
 import pytest
 
-from derjax.core.runtime import collect_garbage_rarely, use_one_blas_thread
+from derjax.core.runtime import collect_garbage_rarely
 
 QUICKLY_COMPILED = os.environ.get("JAX_DISABLE_MOST_OPTIMIZATIONS") == "1"
 """Asked for here, as JAX may have been imported before."""
@@ -51,7 +51,6 @@ def pytest_configure(config: pytest.Config) -> None:
     kept = Path(chosen) if chosen else config.rootpath / ".pytest_cache" / "jax"
     jax.config.update("jax_compilation_cache_dir", str(kept))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
-    use_one_blas_thread()
     collect_garbage_rarely()
     if hasattr(config.option, "loadscopereorder"):
         # pytest-xdist would begin with the files that have the most tests.

@@ -26,7 +26,7 @@ def environment() -> dict[str, str]:
     return {
         **os.environ,
         "JAX_COMPILATION_CACHE_DIR": str(jax.config.jax_compilation_cache_dir),
-        # As `use_one_blas_thread`: where other tests run, threads wait for each other.
+        # Derjax obeys this, and where other tests run threads wait for each other.
         "OPENBLAS_NUM_THREADS": "1",
     }
 

@@ -52,3 +52,19 @@ def test_the_way_down_from_a_hill_does_not_depend_on_units():
         np.testing.assert_allclose(q, [1.0, size], rtol=1e-9)
         assert count[0] == Status.OK
         assert count[1] == ways[0][1][1]
+
+
+def pulled_from_both_sides(x: jax.Array, data: jax.Array) -> jax.Array:
+    """Stiff springs that hold the first coordinate, and soft ones at the second."""
+    stiff = 0.5 * data * ((x[0] - 1.0) ** 2 + (x[0] + 1.0) ** 2)
+    return stiff + 0.5 * (x[1] - x[0]) ** 2 + 0.25 * x[1] ** 4
+
+
+def test_rounding_of_a_large_potential_stops_no_step():
+    """What the soft springs gain is less than what rounding makes of the energy of the others."""
+    potential = assemble([Elements(PAIR, Autodiff(pulled_from_both_sides), jnp.array([1e9]))])
+    settings = NewtonSettings(jnp.asarray(1e-12), jnp.ones(2))
+    starts = jnp.stack([jnp.geomspace(1e-12, 1e-9, 64), jnp.geomspace(1e-5, 1e-4, 64)], axis=1)
+    q, info = jax.vmap(lambda start: equilibrium(potential, start, settings, None))(starts)
+    np.testing.assert_array_equal(info.status, Status.OK)
+    np.testing.assert_allclose(q, 0.0, atol=1e-11)

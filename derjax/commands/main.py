@@ -19,11 +19,7 @@ from importlib.metadata import EntryPoint, entry_points, version
 from typing import Any
 
 from ..core.errors import InputError, InputWarning, WriteWarning
-from ..core.runtime import (
-    collect_garbage_rarely,
-    enable_compilation_cache,
-    use_one_blas_thread,
-)
+from ..core.runtime import use_this_process
 from ..core.status import SolverError
 from ..runs.progress import terminated_like_interrupted
 
@@ -45,9 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     commands = {point.name: point for point in entry_points(group=GROUP)}
     try:
         args = _parser(commands, argv).parse_args(argv)
-        enable_compilation_cache()
-        use_one_blas_thread()
-        collect_garbage_rarely()
+        use_this_process()
         with terminated_like_interrupted(), warnings.catch_warnings():
             for category in (InputWarning, WriteWarning):
                 warnings.simplefilter("always", category)

@@ -11,6 +11,15 @@ import jax
 SHORTEST_COMPILATION = 0.2
 """Programs that compile faster than this (s) are not worth keeping."""
 
+THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
+"""By which a user says how many threads linear algebra has."""
+
+
+def use_this_process() -> None:
+    """What a process that is derjax's own does first: a command, or a worker of a sweep."""
+    enable_compilation_cache()
+    collect_garbage_rarely()
+
 
 def enable_compilation_cache() -> Path | None:
     """Keep compiled programs on disk, so that the next process need not compile them again.
@@ -40,10 +49,12 @@ def use_one_blas_thread() -> None:
     """Keep the linear algebra library from starting threads of its own.
 
     The matrices of a robot are small: threads only wait for each other, and where the
-    processors have other work too, a step takes ten times as long. Only libraries that have
-    been loaded are reached, so that SciPy's is loaded here.
+    processors have other work too, a step takes ten to thirty times as long. Only libraries that
+    have been loaded are reached, so that SciPy's is loaded here. Whoever has said how many threads
+    there are to be, in `OPENBLAS_NUM_THREADS`, `MKL_NUM_THREADS` or `OMP_NUM_THREADS`, is obeyed.
     """
-    # Not needed by `import derjax`, and slow to import.
+    if any(name in os.environ for name in THREADS):
+        return
     import scipy.linalg  # noqa: F401  (the library that JAX takes its linear algebra from)
     from threadpoolctl import threadpool_limits
 

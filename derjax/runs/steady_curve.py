@@ -22,8 +22,9 @@ from ..scenes.build import build
 from ..scenes.extensions import unit_of
 from ..scenes.file import SceneFile
 from ..scenes.load import load_scene
+from ..steady.curve import along
 from ..steady.motion import symmetry_of
-from ..steady.solve import Steady, steady_near
+from ..steady.solve import Steady
 from ..steady.stability import Stability, stability, threshold
 from .progress import Progress, interruptible
 
@@ -167,7 +168,6 @@ def _compute(
 ) -> int:
     from ..results import steady as results  # slow to import
 
-    known: Steady | None = None
     found: dict[float, tuple[Steady, Stability | None]] = {}
     stopped = False
     if not options.quiet:
@@ -176,11 +176,8 @@ def _compute(
         interruptible("stopping after this value; Ctrl-C again quits without saving") as stopping,
         Progress(len(values), "steady states", 0, options.quiet) as progress,
     ):
-        for k, (value, scene) in enumerate(zip(values, scenes, strict=True)):
+        for k, (value, state) in enumerate(zip(values, along(scenes, values), strict=True)):
             done = value in rows
-            state = steady_near(scene, known)
-            if state.ok:
-                known = state
             modes = stability(state) if state.ok and options.stability else None
             found[value] = state, modes
             if not done:

@@ -30,6 +30,9 @@ _SEARCHING = -1
 CLOSE = 1e5
 """Tolerances; with less than that left the residual alone tells whether a step is good."""
 
+SIMILAR = 1e-10
+"""Of a potential: a smaller part of it may be rounding."""
+
 
 @pytree
 class NewtonSettings:
@@ -218,7 +221,12 @@ def equilibrium(
             # iterations that trade the one for the other may go round in circles. Close to it
             # the potential says nothing any more, for rounding.
             close = before <= CLOSE * now.noise_floor
-            accepted &= close | (value <= now.point.value)
+            # Before that, differences of the potential may be nothing but rounding of the much
+            # larger energies that it is made of, and its slopes at both ends tell more of it
+            # (Hager & Zhang, SIAM J. Optim. 16, 170, 2005).
+            similar = value <= now.point.value + SIMILAR * jnp.abs(now.point.value)
+            falling = slope + potential.slope(gradient, direction) <= 0.0
+            accepted &= close | (value <= now.point.value) | (similar & falling)
             accepted |= (slope < 0) & (value <= now.point.value + 1e-4 * length * slope)
         finite = jnp.isfinite(residual)
         accepted &= finite

@@ -90,6 +90,13 @@ class _Extended:
         equations = self.family.equations(self.scene, self.symmetry, y[-1])
         return equations.near(lax.stop_gradient(before[:-1])).residual(y[:-1])
 
+    def stiffness(self, y: Array) -> Array:
+        """The part of their derivative that changes quickly."""
+        scaled = y * self.scale
+        equations = self.family.equations(self.scene, self.symmetry, scaled[-1])
+        by_unknowns = equations.stiffness(scaled[:-1]) * self.scale[:-1]
+        return jnp.pad(by_unknowns, (0, 1))
+
     def through(self, start: Array, tangent: Array) -> "_Plane":
         return _Plane(self, start, tangent)
 
@@ -106,6 +113,9 @@ class _Plane:
         """Forces, and how far z is from the distance `part`."""
         ahead = self.tangent @ (z - self.start) - part
         return jnp.append(self.branch.forces(z, self.start), ahead)
+
+    def stiffness(self, z: Array, _: Array) -> Array:
+        return self.branch.stiffness(z)
 
 
 @partial(jax.jit, static_argnums=0)

@@ -22,9 +22,9 @@ from ..rods.kinematics import positions, tangents
 from ..rods.rod import State, moved, transport_frames
 from ..rods.topology import Topology
 from ..rods.vectors import cross, rotation_about
-from ..solve.potential import Contribution, Dofs
+from ..solve.potential import Contribution, Dofs, Matrix
 from ..terms.gravity import Gravity
-from ..terms.term import contributions, standing
+from ..terms.term import Role, contributions, standing
 
 
 @pytree
@@ -254,6 +254,23 @@ def imbalance(scene: Scene, q: Dofs, velocity: Dofs, acceleration: Dofs) -> Dofs
             raise InputError("a robot in blocks: build it with [solver] method = 'dense'")
         total = total + part.gradient(state.q)
     return total
+
+
+@jax.jit
+def elastic_stiffness(scene: Scene, q: Dofs) -> Matrix:
+    """(d, d) N/m and so on: the second derivative of all that stores energy, at `q`.
+
+    Not quite how forces change with the shape, in which frames are carried along: enough for
+    Newton's method, and a small part of the work of the whole derivative.
+    """
+    state, still = state_at(scene, q), jnp.zeros_like(q)
+    stage = moving_stage(scene, state, still, still)
+    energies = [term for term in scene.terms if term.role is Role.ENERGY]
+    matrix = jnp.zeros((q.size, q.size))
+    for part in contributions(energies, scene.rod, state, stage, standing(state, scene.terms)):
+        if isinstance(part, Contribution):
+            matrix = part.add_hessian(matrix, state.q)
+    return matrix
 
 
 @jax.jit

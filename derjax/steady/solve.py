@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.scipy.linalg import lu_factor, lu_solve
 from jaxtyping import Array, Float, Int
 
 from ..core.pytree import pytree, replace
@@ -17,6 +16,7 @@ from ..rods.rod import State
 from .motion import (
     RigidMotion,
     Symmetry,
+    elastic_stiffness,
     elsewhere,
     gauge,
     moving_imbalance,
@@ -31,7 +31,7 @@ from .motion import (
 MOST_MATRICES, MOST_TRIES = 8, 40
 """Of Newton's method for one rate of the motor, before a smaller increment is tried."""
 
-CONTRACTION = 0.2
+CONTRACTION = 0.5
 """By how much the residual must fall in a step for the matrix to be kept."""
 
 FIRST, SMALLEST = 0.5, 1e-4
@@ -179,20 +179,21 @@ class Equations:
         """The shape of the start, in the motion in which it has least force and torque."""
         start, count = self.start(), len(self.free)
         turning = replace(self.symmetry, axes=jnp.eye(3))
-        still, along = jnp.zeros(()), jnp.eye(turning.size)
+        still = jnp.zeros(())
         moves = jax.vmap(
             lambda u: rates(
                 self.scene, turning, self.scene.start.q, turning.motion(u, still), still
             )
-        )(along)[:, self.free]
+        )(jnp.eye(turning.size))[:, self.free]
         unit = self.scene.newton.force_scale[self.free]
 
         def left(unknowns: Array) -> Array:
             z = start.at[count:].set(unknowns)
             return moves @ (self.residual(z, part)[:count] * unit)
 
-        by_motion = jax.jacfwd(left)(start[count:])
-        return start.at[count:].add(-jnp.linalg.lstsq(by_motion, left(start[count:]))[0])
+        force, push = jax.linearize(left, start[count:])
+        by_motion = jax.vmap(push, out_axes=1)(jnp.eye(self.symmetry.size))
+        return start.at[count:].add(-jnp.linalg.lstsq(by_motion, force)[0])
 
     def split(self, z: Array) -> tuple[Array, Array]:
         """All degrees of freedom, and the unknowns of the motion."""
@@ -213,6 +214,13 @@ class Equations:
         unit = lax.stop_gradient(self.scene.newton.force_scale)
         scaled = (force / unit)[self.free]
         return jnp.concatenate([scaled, gauge(self.scene, self.symmetry, self.anchor, q)])
+
+    def stiffness(self, z: Array, part: Array | float = 1.0) -> Array:
+        """What of the derivative of `residual` changes quickly, and is cheap: that of energies."""
+        scene = with_part_of_weight(self.scene, part)
+        unit = jnp.broadcast_to(scene.newton.force_scale, scene.start.q.shape)[:, None]
+        by_shape = (elastic_stiffness(scene, self.split(z)[0]) / unit)[self.free][:, self.free]
+        return jnp.pad(by_shape, (0, z.size - len(self.free)))
 
     def checked(self, found: Found) -> Found:
         """With the status of what has no balance at another time and place."""
@@ -240,12 +248,13 @@ class _Iterate:
     """Newton's method on the way.
 
     Attributes:
-        z: unknowns.
+        z: unknowns, the best so far.
         residual: at z.
         size: the largest of them.
-        factor: (LU, pivots) of the matrix.
-        renew: whether the matrix is to be found anew, at z.
-        count: matrices so far.
+        ahead: unknowns that are looked at next.
+        kept: what of the matrix is not found anew in every step.
+        fresh: whether that was, for the step to `ahead`.
+        count: how often it was so far.
         tries: steps so far.
         stalled: whether rounding leaves no smaller residual.
     """
@@ -253,17 +262,20 @@ class _Iterate:
     z: Array
     residual: Array
     size: Array
-    factor: tuple[Array, Array]
-    renew: Array
+    ahead: Array
+    kept: Array
+    fresh: Array
     count: Array
     tries: Array
     stalled: Array
 
 
 class Residual(Protocol):
-    """What `newton` makes vanish."""
+    """What `newton` makes vanish, and a part of its derivative by the unknowns that is cheap."""
 
     def residual(self, z: Array, part: Array) -> Array: ...
+
+    def stiffness(self, z: Array, part: Array) -> Array: ...
 
 
 def newton(
@@ -272,85 +284,83 @@ def newton(
     part: Array,
     tolerance: Array,
 ) -> _Iterate:
-    """Newton's method from a guess. A matrix is kept for as long as it serves.
+    """Newton's method from a guess. What the fluid adds to the matrix is kept while it serves.
 
-    Full steps: stretching is so stiff that the size of the residual says little of the error, and
-    a line search by it stalls.
+    A column for every unknown of how all drag changes with the shape is most of the work, and it
+    changes little; what changes much, as rods are so stiff against stretching, is the stiffness.
+
+    Full steps: for the same reason the size of the residual says little of the error, and a line
+    search by it stalls.
     """
-
-    def matrix(z: Array) -> tuple[Array, Array]:
-        return lu_factor(jax.jacfwd(equations.residual)(z, part))
 
     def going(now: _Iterate) -> Array:
         unfinished = (now.size > tolerance) & ~now.stalled & jnp.isfinite(now.size)
-        return unfinished & (now.count <= MOST_MATRICES) & (now.tries < MOST_TRIES)
+        return (now.tries < 0) | unfinished & (now.count <= MOST_MATRICES) & (
+            now.tries < MOST_TRIES
+        )
 
     def step(now: _Iterate) -> _Iterate:
-        factor = lax.cond(now.renew, lambda: matrix(now.z), lambda: now.factor)
-        z = now.z - lu_solve(factor, now.residual)
-        residual = equations.residual(z, part)
+        residual = equations.residual(now.ahead, part)
         size = largest(residual)
         falls = size <= CONTRACTION * now.size
-        taken = falls | now.renew
+        taken = falls | now.fresh
         z, residual, size = (
             jnp.where(taken, new, old)
-            for new, old in ((z, now.z), (residual, now.residual), (size, now.size))
+            for new, old in ((now.ahead, now.z), (residual, now.residual), (size, now.size))
         )
         stalled = taken & ~falls & (size <= ROUNDING * tolerance)
-        count = now.count + now.renew.astype(jnp.int32)
-        return _Iterate(z, residual, size, factor, ~falls, count, now.tries + 1, stalled)
+        first = now.tries < 0
+        renew = (first | ~falls) & (size > tolerance) & ~stalled
+        stiffness = equations.stiffness(z, part)
 
-    residual = equations.residual(guess, part)
-    zero = jnp.zeros((), jnp.int32)
-    none = jnp.zeros((guess.size, guess.size)), jnp.zeros(guess.size, jnp.int32)
-    yes, no = jnp.array(True), jnp.array(False)
-    start = _Iterate(guess, residual, largest(residual), none, yes, zero, zero, no)
+        def others() -> Array:
+            return jax.jacfwd(equations.residual)(z, part) - stiffness
+
+        kept = lax.cond(renew, others, lambda: now.kept)
+        ahead = z - jnp.linalg.solve(kept + stiffness, residual)
+        count = now.count + renew.astype(jnp.int32)
+        return _Iterate(z, residual, size, ahead, kept, renew, count, now.tries + 1, stalled)
+
+    zero, no = jnp.zeros((), jnp.int32), jnp.array(False)
+    nothing = jnp.zeros((guess.size, guess.size))
+    infinite = jnp.array(jnp.inf)
+    start = _Iterate(guess, guess, infinite, guess, nothing, no, zero, zero - 1, no)
     return lax.while_loop(going, step, start)
 
 
 @jax.jit
-def _followed(scene: Scene, symmetry: Symmetry, guess: Array | None) -> Found:
-    """The steady state along growing rates of the motor, or from a guess, and whether it is one."""
+def _followed(scene: Scene, symmetry: Symmetry, guess: Array, guessed: Array) -> Found:
+    """The steady state from a guess, or along growing rates of the motor, and whether it is one."""
     equations = Equations(scene, symmetry)
-    return equations.checked(_along_rates(equations, guess))
-
-
-def _along_rates(equations: Equations, guess: Array | None) -> Found:
-    scene = equations.scene
-    tolerance, one = scene.newton.tolerance, jnp.ones(())
-
-    def good(found: _Iterate) -> Array:
-        return found.size <= ROUNDING * tolerance
-
-    if guess is not None:
-        found = newton(equations.near(guess), guess, one, tolerance)
-        status = jnp.where(good(found), Status.OK, Status.MAX_ITERATIONS).astype(jnp.int32)
-        return found.z, one, status, found.tries, found.size
+    tolerance = scene.newton.tolerance
 
     def going(carry):
         _, now, increment, *_ = carry
         return (now.part < 1.0) & (increment >= SMALLEST)
 
     def attempt(carry):
-        before, now, increment, tries, _ = carry
-        part = jnp.minimum(now.part + increment, 1.0)
+        before, now, increment, guessed, tries, _ = carry
+        part = jnp.where(guessed, 1.0, jnp.minimum(now.part + increment, 1.0))
         known = now.part > before.part
         ahead = jnp.where(known, (part - now.part) / (now.part - before.part), 0.0)
-        guess = jnp.where(now.part > 0.0, now.z + ahead * (now.z - before.z), equations.rigid(part))
-        found = newton(equations.near(now.z), guess, part, tolerance)
-        chosen = good(found)
-        there, behind = jax.tree.map(
-            lambda a, b: jnp.where(chosen, a, b), (_Point(found.z, part), now), (now, before)
+        there = jnp.where(now.part > 0.0, now.z + ahead * (now.z - before.z), equations.rigid(part))
+        there, anchor = jnp.where(guessed, guess, there), jnp.where(guessed, guess, now.z)
+        found = newton(equations.near(anchor), there, part, tolerance)
+        good = found.size <= ROUNDING * tolerance
+        new, behind = jax.tree.map(
+            lambda a, b: jnp.where(good, a, b), (_Point(found.z, part), now), (now, before)
         )
-        increment = increment * jnp.where(chosen, GROWTH, SHRINK)
-        return behind, there, increment, tries + found.tries, found.size
+        # A guess that leads nowhere says nothing of the way from rest.
+        shrink = jnp.where(guessed, 1.0, SHRINK)
+        increment = increment * jnp.where(good, GROWTH, shrink)
+        return behind, new, increment, jnp.array(False), tries + found.tries, found.size
 
     rest = _Point(equations.start(), jnp.zeros(()))
     zero = jnp.zeros((), jnp.int32)
-    carry = (rest, rest, jnp.array(FIRST), zero, jnp.zeros(()))
-    _, end, _, tries, size = lax.while_loop(going, attempt, carry)
+    carry = (rest, rest, jnp.array(FIRST), guessed, zero, jnp.zeros(()))
+    _, end, _, _, tries, size = lax.while_loop(going, attempt, carry)
     status = jnp.where(end.part >= 1.0, Status.OK, Status.MAX_ITERATIONS).astype(jnp.int32)
-    return end.z, end.part, status, tries, size
+    return equations.checked((end.z, end.part, status, tries, size))
 
 
 def steady(scene: Scene, guess: Steady | None = None) -> Steady:
@@ -362,7 +372,8 @@ def steady(scene: Scene, guess: Steady | None = None) -> Steady:
 
     Args:
         scene: with one motor of constant rate.
-        guess: the steady state of a scene that differs a little: quicker.
+        guess: the steady state of a scene that differs a little: quicker. Where Newton's method
+            finds nothing from there, it starts from rest.
 
     Returns:
         With a status; where there is no steady state at the motor's rate, the last one before it.
@@ -370,26 +381,17 @@ def steady(scene: Scene, guess: Steady | None = None) -> Steady:
     Raises:
         InputError: the scene cannot swim steadily, such as one with several flagella.
     """
-    return _solved(scene, symmetry_of(scene), guess)
-
-
-def steady_near(scene: Scene, known: Steady | None) -> Steady:
-    """The steady state of a scene near a known one; from rest where that does not lead to it.
-
-    On the host: not for scenes that JAX traces.
-    """
-    if known is not None:
-        found = steady(scene, known)
-        if found.ok:
-            return found
-    return steady(scene)
+    symmetry = symmetry_of(scene)
+    equations = Equations(scene, symmetry)
+    # One program serves both: to compile it takes much longer than to run it.
+    start = equations.start() if guess is None else unknowns_of(equations, guess)
+    return _solved(scene, symmetry, start, jnp.array(guess is not None))
 
 
 @jax.jit
-def _solved(scene: Scene, symmetry: Symmetry, guess: Steady | None) -> Steady:
-    equations = Equations(scene, symmetry)
-    known = None if guess is None else unknowns_of(equations, guess)
-    return solved_by(equations, _followed(*lax.stop_gradient((scene, symmetry, known))))
+def _solved(scene: Scene, symmetry: Symmetry, guess: Array, guessed: Array) -> Steady:
+    found = _followed(*lax.stop_gradient((scene, symmetry, guess, guessed)))
+    return solved_by(Equations(scene, symmetry), found)
 
 
 def solved_by(equations: Equations, solution: Found) -> Steady:
@@ -397,7 +399,7 @@ def solved_by(equations: Equations, solution: Found) -> Steady:
     found, part, status, tries, size = solution
 
     def linear(tangent: Any, y: Array) -> Array:
-        return jnp.linalg.solve(jax.jacobian(tangent)(jnp.zeros_like(y)), y)
+        return jnp.linalg.solve(jax.jacfwd(tangent)(jnp.zeros_like(y)), y)
 
     here = equations.near(lax.stop_gradient(found))
     z = lax.custom_root(lambda z: here.residual(z, part), found, lambda _, there: there, linear)

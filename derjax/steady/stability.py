@@ -22,7 +22,7 @@ from ..core.pytree import pytree, replace
 from ..core.status import SolverError
 from ..integrate.step import Scene
 from .motion import imbalance, rates, rotating_acceleration
-from .solve import Steady, steady, steady_near
+from .solve import Steady, steady
 
 INFINITE = 1e9
 """Eigenvalues (1/s) that are larger are those of angles without drag: over the rate of the motor,
@@ -277,7 +277,7 @@ def threshold(
     known: Steady | None = None
     for count in range(1, most + 1):
         here = scene.replace(**{name: value})
-        state = steady_near(here, known)
+        state = steady(here, known)
         modes = stability(state)
         growth = modes.growth_rate
         if before is None:

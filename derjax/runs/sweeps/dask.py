@@ -7,11 +7,7 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from ...core.errors import InputError
-from ...core.runtime import (
-    collect_garbage_rarely,
-    enable_compilation_cache,
-    use_one_blas_thread,
-)
+from ...core.runtime import use_this_process
 from .points import ERROR, Chunk, Outcome, compute_surely, failed
 
 RETRIES = 2
@@ -108,7 +104,5 @@ def _result(future: Any, chunk: Chunk) -> list[Outcome]:
 
 
 def _on_worker(chunk: Chunk) -> list[Outcome]:
-    enable_compilation_cache()
-    use_one_blas_thread()
-    collect_garbage_rarely()
+    use_this_process()
     return compute_surely(chunk)
