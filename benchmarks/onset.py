@@ -234,6 +234,8 @@ def figure(table: pd.DataFrame, path: Path) -> None:
         rows = table[(table["study"] == "threshold") & (table["pitch_over_radius"] == pitch)]
         known = rows[np.isclose(rows["regularization_m"], DEFAULT)]["rpm"]
         middle.axhline(UNIT * known.iloc[0], color=COLOURS[pitch], ls="-", lw=0.8)
+    middle.set_xticks(RAMPS, [f"{speed:g}" for speed in RAMPS])
+    middle.minorticks_off()
     left.set(xlabel="regularization, mm", ylabel=r"threshold  $\bar\omega$")
     left.set_title("where the leading mode begins to grow\n(dashed: the paper)", fontsize=9)
     middle.set(

@@ -1,5 +1,7 @@
 """Rods at rest under loads: closed forms, buckling as a change of stability, derivatives."""
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -111,17 +113,87 @@ def test_a_straight_rod_relaxes_at_the_rates_of_its_modes():
 
 
 @dj.pytree
-class Follower(dj.Term):
-    """A force (N) on the last node, against the direction of the last edge whatever that is."""
+class Tip(dj.Term):
+    """Forces (N) on the last node.
 
-    force: Float[Array, ""]
+    Attributes:
+        along: a dead load along x.
+        against: one against the direction of the last edge, whatever that is.
+    """
+
+    along: Float[Array, ""]
+    against: Float[Array, ""]
 
     def contribution(self, rod, state, stage, cache):
         x = dj.positions(rod.topology, state.q)
         edge = x[-1] - x[-2]
         dofs = rod.topology.node_dofs([rod.topology.n_nodes - 1]).ravel()
-        push = -self.force * edge / jnp.linalg.norm(edge)
+        push = self.along * jnp.array([1.0, 0.0, 0.0])
+        push = push - self.against * edge / jnp.linalg.norm(edge)
         return dj.Load(jnp.zeros_like(state.q).at[dofs].set(push))
+
+
+@jax.jit
+def pushed(along: Array | float, against: Array | float) -> dj.Steady:
+    """With loads in units of EI / LENGTH^2."""
+    loads = (jnp.asarray(load * EI / LENGTH**2) for load in (along, against))
+    return dj.equilibrium(scene_with(Tip(*loads)))
+
+
+def crossing(states: Sequence[dj.Steady], values: np.ndarray, oscillates: bool = False) -> float:
+    """Where the growth rate vanishes between the values of two states, the first one stable."""
+    growth = []
+    for state in states:
+        state.raise_if_failed()
+        modes = dj.stability(state)
+        assert (abs(modes.eigenvalues[0].imag) > abs(modes.growth_rate)) == oscillates
+        growth.append(modes.growth_rate)
+    assert growth[0] < 0.0 < growth[1]
+    return float(values[0] - growth[0] * np.diff(values)[0] / (growth[1] - growth[0]))
+
+
+def test_a_column_buckles_under_a_load_as_euler_found():
+    """At pi^2 / 4 EI / L^2, clamped and free."""
+    loads = np.pi**2 / 4 * np.array([0.98, 1.02])
+    found = crossing([pushed(-load, 0.0) for load in loads], loads)
+    assert found == pytest.approx(np.pi**2 / 4, rel=1e-3)
+
+
+def ring(twist: Array) -> dj.Scene:
+    """A straight rod bent into a ring whose ends, held side by side, are turned by `twist`.
+
+    Opposite of them a node is held in the plane: else the whole ring could turn about the ends.
+    """
+    free = N - 2
+    topology = dj.Rod.straight(N + 1, LENGTH, RADIUS, fixed="both").topology
+    opposite = 3 * (1 + free // 2) + 2
+    topology = replace(topology, fixed_dofs=tuple(sorted({*topology.fixed_dofs, opposite})))
+    angle, radius = 2 * np.pi * np.arange(free + 1) / free, LENGTH / (2 * np.pi)
+    round_ = radius * np.stack([np.sin(angle), 1 - np.cos(angle), 0.0 * angle], axis=1)
+    end = np.array([[LENGTH / free, 0.0, 0.0]])
+    rod, state = dj.at_rest(topology, np.concatenate([-end, round_, end]))
+    rod = replace(rod, natural_curvature=jnp.zeros_like(rod.natural_curvature))
+    along = np.concatenate([[0.0], (np.arange(free) + 0.5) / free, [1.0]])
+    turned = state.q.at[3 * (N + 1) :].set(twist * jnp.asarray(along))
+    return replace(scene_with(), rod=rod, initial=replace(state, q=turned))
+
+
+@jax.jit
+def twisted(twist: Array) -> dj.Steady:
+    return dj.equilibrium(ring(twist))
+
+
+def test_a_twisted_ring_buckles_as_michell_found():
+    """At 2 pi sqrt(3) EI / GJ (Michell 1889, Zajac 1962), with EI = GJ here.
+
+    Where the slowest mode stops to decay; the 31 edges of the ring make that 1 % more.
+    """
+    expected = 2 * np.pi * np.sqrt(3.0)
+    twists = expected * np.array([0.965, 0.985])
+    growth = [dj.stability(twisted(jnp.asarray(twist))).growth_rate for twist in twists]
+    assert growth[0] < growth[1] < 0.0
+    found = twists[1] - growth[1] * np.diff(twists)[0] / (growth[1] - growth[0])
+    assert found == pytest.approx(expected, rel=1.5e-2)
 
 
 def flutter() -> float:
@@ -144,16 +216,9 @@ def test_a_follower_force_makes_a_clamped_filament_flutter():
     """A pair of eigenvalues crosses the imaginary axis."""
     expected = flutter()
     assert expected == pytest.approx(37.7, abs=0.1)
-    growth = []
-    for load in (0.97 * expected, 1.03 * expected):
-        state = dj.equilibrium(scene_with(Follower(jnp.asarray(load * EI / LENGTH**2))))
-        state.raise_if_failed()
-        modes = dj.stability(state)
-        assert abs(modes.eigenvalues[0].imag) > abs(modes.growth_rate)
-        growth.append(modes.growth_rate)
-    assert growth[0] < 0.0 < growth[1]
-    crossing = 0.97 - growth[0] * 0.06 / (growth[1] - growth[0])
-    assert crossing == pytest.approx(1.0, abs=1e-2)
+    loads = expected * np.array([0.97, 1.03])
+    found = crossing([pushed(0.0, load) for load in loads], loads, oscillates=True)
+    assert found == pytest.approx(expected, rel=1e-2)
 
 
 def test_operators_are_derivatives_of_the_forces(rng):

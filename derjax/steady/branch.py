@@ -114,7 +114,8 @@ class _Plane:
         ahead = self.tangent @ (z - self.start) - part
         return jnp.append(self.branch.forces(z, self.start), ahead)
 
-    def stiffness(self, z: Array, _: Array) -> Array:
+    def stiffness(self, z: Array, part: Array) -> Array:
+        """The same for every distance."""
         return self.branch.stiffness(z)
 
 
