@@ -4,16 +4,20 @@
 
 For the default robot some numbers; for pitch / radius = 5, 7 and 9 the growth rate of the leading
 mode, where it vanishes, and how that moves with other numbers; and what a curve of 30 rates costs
-against simulations of 20 s at each (once compiled, processor time; every sixth rate is simulated).
+against simulations of 20 s at each (once compiled, processor time; every sixth rate is simulated),
+and a state on finer meshes.
 Writes steady.md, steady.png (curves for pitch / radius = 5) and steady_growth.png.
 """
 
 import argparse
 import math
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import jax
+import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
@@ -23,6 +27,8 @@ from derjax.results import steady as results
 
 from .buckling import omega_bar, robot
 from .tables import markdown
+
+T = TypeVar("T")
 
 RATES = (10.0, 60.0, 100.0, 200.0)
 FORMATS = {
@@ -47,6 +53,9 @@ RADIUS, PITCHES = 6.36e-3, (5, 7, 9)
 RATES_OF_GROWTH = np.arange(10.0, 301.0, 10.0)
 PUBLISHED = {5: 230.0, 7: 363.0, 9: math.nan}
 """Dimensionless rates at which flagella buckle (Lim, Yadunandan & Jawed 2023), in slow ramps."""
+
+EDGES = (5e-3, 2.5e-3, 1.2e-3, 0.6e-3)
+"""m, of finer and finer meshes."""
 
 SLOPES = ("youngs_modulus", "viscosity", "rod_radius", "pitch", "regularization", "C_t", "C_r")
 
@@ -114,14 +123,12 @@ def growth_figure(curves: dict[int, pd.DataFrame], unit: float) -> plt.Figure:
 
 
 def cost() -> str:
-    """What a curve of 30 rates costs, against simulations."""
+    """What a curve of 30 rates costs, against simulations; and a point with its gradient."""
     rates = np.linspace(10.0, 300.0, 30)
 
     def curve() -> None:
-        known = None
-        for rpm in rates:
-            known = dj.steady(first.replace(rpm=rpm), known)
-            known.raise_if_failed()
+        for state in dj.steady_curve(first, "rpm", rates):
+            state.raise_if_failed()
 
     def simulations() -> None:
         for rpm in rates[::6]:
@@ -130,17 +137,51 @@ def cost() -> str:
 
     first = scene(44.5e-3, 10.0)
     long = dj.SceneFile.from_dict({"robot": {"pitch": 44.5e-3}, "time": {"inertia": False}})
-    spent = []
-    for program in (curve, simulations):
-        program()  # compiles
-        began = time.process_time()
-        program()
-        spent.append(time.process_time() - began)
-    waited = 6.0 * spent[1]
+    (_, spent), (_, waited) = timed(curve), timed(simulations)
+    waited *= 6.0
+    known = dj.steady(first.replace(rpm=60.0))
+    _, gradient = timed(lambda: jax.block_until_ready(slopes(first.replace(rpm=61.0), known)))
     return (
-        f"A curve of 30 rates from 10 to 300 rpm (30 nodes) takes {spent[0]:.2f} s; simulations of "
-        f"20 s at each would take {waited:.0f} s, {waited / spent[0]:.0f} times as long."
+        f"A curve of 30 rates from 10 to 300 rpm (30 nodes) takes {spent:.2f} s; simulations of "
+        f"20 s at each would take {waited:.0f} s, {waited / spent:.0f} times as long. One state "
+        f"with its derivatives by four numbers takes {1e3 * gradient:.0f} ms."
     )
+
+
+def timed(program: Callable[[], T]) -> tuple[T, float]:
+    """What a program gives the second time, and its processor time (s)."""
+    program()
+    began = time.process_time()
+    return program(), time.process_time() - began
+
+
+BY = ("C_t", "C_r", "pitch", "youngs_modulus")
+
+
+@jax.jit
+def slopes(of: dj.Scene, known: dj.Steady) -> dict[str, jax.Array]:
+    """Derivatives of speed and head rate."""
+
+    def speeds(numbers: dict[str, jax.Array]) -> jax.Array:
+        state = dj.steady(of.replace(**numbers), known)
+        return jnp.stack([state.speed, state.head_rate])
+
+    return jax.jacfwd(speeds)({name: of.parameters[name] for name in BY})
+
+
+def sizes() -> pd.DataFrame:
+    """What one state near a known one, and its modes, cost on finer and finer meshes."""
+    found = []
+    for edge in EDGES:
+        tables = {"robot": {"edge_length": edge}, "time": {"inertia": False}}
+        file = dj.SceneFile.from_dict(tables | {"solver": {"method": "dense"}})
+        near = dj.steady(dj.build(file, {"rpm": 60.0}))
+        state, spent = timed(lambda f=file, n=near: dj.steady(dj.build(f, {"rpm": 61.0}), n))
+        state.raise_if_failed()
+        _, modes = timed(lambda s=state: dj.stability(s))
+        nodes = state.scene.rod.topology.n_nodes
+        found.append({"nodes": nodes, "state (s)": spent, "modes (s)": modes})
+    return pd.DataFrame(found)
 
 
 def main() -> None:
@@ -169,7 +210,8 @@ def main() -> None:
         "# Steady swimming\n\n`python -m benchmarks.steady`: the default robot without inertia.\n\n"
         f"{markdown(pd.DataFrame(default), FORMATS)}\n"
         f"With a pitch of 31.8 mm it loses its stability at {limit.value:.4f} rpm.\n\n"
-        f"{cost()}\n\n"
+        f"{cost()} On finer meshes, matrices are dense:\n\n"
+        f"{markdown(sizes(), {'nodes': 'd', 'state (s)': '.2f', 'modes (s)': '.2f'})}\n"
         "Where the leading mode begins to grow, and by how many per cent one per cent of a number "
         f"moves that:\n\n{markdown(table, columns)}"
     )

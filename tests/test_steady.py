@@ -11,6 +11,7 @@ from helpers import rotation
 import derjax as dj
 from derjax.commands.main import main
 from derjax.core.pytree import replace
+from derjax.steady.stability import linearisation
 
 TINY = {
     "robot": {"edge_length": 0.02, "helix_radius": 6.4e-3, "pitch": 31.8e-3},
@@ -73,19 +74,33 @@ def test_it_does_not_depend_on_where_the_robot_is_and_how_it_is_turned(swimming)
         np.testing.assert_allclose(getattr(other, name), getattr(swimming, name), rtol=1e-6)
 
 
-def quantities(numbers: jax.Array) -> jax.Array:
-    pitch, rpm, spin = numbers * jnp.array([31.8e-3, 80.0, 0.36])
-    state = dj.steady(dj.build(FILE, {"pitch": pitch, "rpm": rpm, "C_r": spin}))
+NAMES = (
+    *("C_t", "C_r", "youngs_modulus", "viscosity"),
+    *("pitch", "helix_radius", "regularization", "rpm"),
+)
+STOKESLETS = dj.build(dj.SceneFile.from_dict(TINY | {"fluid": {"hydrodynamics": "rss"}}))
+NUMBERS = jnp.stack([STOKESLETS.parameters[name] for name in NAMES])
+
+
+def quantities(parts: jax.Array) -> jax.Array:
+    """Speed, head rate and length of a robot whose numbers are parts of those it was built with."""
+    state = dj.steady(STOKESLETS.replace(**dict(zip(NAMES, parts * NUMBERS, strict=True))))
     return jnp.stack([1e3 * state.speed, state.head_rate, 10.0 * state.tail_to_head])
 
 
 def test_derivatives_forward_and_reverse_agree_with_differences():
-    at, step = jnp.ones(3), 1e-3
+    """By all that a fit or a design may change, against differences of fourth order."""
+    at, h = jnp.ones(len(NAMES)), 3e-3
     forward = jax.jit(jax.jacfwd(quantities))(at)
     reverse = jax.jit(jax.jacrev(quantities))(at)
     evaluate = jax.jit(quantities)
-    each = [(evaluate(at + step * e) - evaluate(at - step * e)) / (2 * step) for e in jnp.eye(3)]
-    np.testing.assert_allclose(forward, jnp.stack(each, axis=1), rtol=2e-5, atol=1e-5)
+
+    def difference(way: jax.Array) -> jax.Array:
+        near, far = (evaluate(at + k * h * way) - evaluate(at - k * h * way) for k in (1, 2))
+        return (8.0 * near - far) / (12.0 * h)
+
+    each = jnp.stack([difference(way) for way in jnp.eye(len(NAMES))], axis=1)
+    np.testing.assert_allclose(forward, each, rtol=1e-6, atol=1e-6 * jnp.abs(each).max())
     np.testing.assert_allclose(reverse, forward, rtol=1e-8, atol=1e-10)
 
 
@@ -100,6 +115,23 @@ def test_a_motor_that_stands_still_leaves_the_robot_at_rest():
 def test_rigid_motions_are_modes_of_the_linearisation(swimming):
     """0, 0 and twice +-i |Omega|: pairs of equal ones to the root of rounding."""
     assert dj.stability(swimming).rigid_error < 1e-5
+
+
+def test_modes_balance_drag_and_stiffness(swimming):
+    """-J xi = lambda D xi on all degrees of freedom, those without drag among them."""
+    found, matrices = dj.stability(swimming), linearisation(swimming)
+    stiffness, drag = np.asarray(matrices.stiffness), np.asarray(matrices.drag)
+    free = swimming.scene.rod.topology.free_dofs
+    for value, right, left in zip(found.eigenvalues, found.modes, found.left, strict=True):
+        xi, w = right[free], left[free].conj()
+        for matrix, vector in ((stiffness, xi), (stiffness.T, w)):
+            other = drag if matrix is stiffness else drag.T
+            size = np.abs(matrix) @ np.abs(vector) + abs(value) * (np.abs(other) @ np.abs(vector))
+            assert np.all(np.abs(matrix @ vector + value * (other @ vector)) <= 1e-8 * size.max())
+    # As many as there are degrees of freedom with drag, but for rigid motions.
+    pairs = np.sum(found.eigenvalues.imag > 0.0)
+    dragged = np.any(drag, axis=0) | np.any(drag, axis=1)
+    assert len(found.eigenvalues) + pairs == np.sum(dragged) - 6
 
 
 def test_the_slowest_mode_is_how_a_simulation_settles(swimming):

@@ -13,7 +13,11 @@ from matplotlib.figure import Figure
 
 from ..core.pytree import replace
 from ..core.status import Status
+from ..integrate.step import Scene
+from ..rods.kinematics import positions
+from ..rods.rod import State
 from ..steady.motion import imbalance
+from ..steady.orbit import Orbit
 from ..steady.solve import Steady
 from ..terms.fluid.head import HeadDrag
 from .mechanics import energies
@@ -49,11 +53,7 @@ def motor_torque(state: Steady) -> Float[Array, ""]:
         balance = imbalance(scene, state.state.q, state.state.velocity, state.state.acceleration)
         return balance[topology.edge_dofs(topology.driven_edges)][0]
 
-    def stored(angle: Float[Array, " 1"]) -> Array:
-        there = replace(state.state, motor_angle=angle)
-        return sum(energies(scene, there).values(), jnp.zeros(()))
-
-    return jax.grad(stored)(state.state.motor_angle)[0]
+    return _torques(scene, jax.tree.map(lambda leaf: leaf[None], state.state))[0, 0]
 
 
 def row(state: Steady, growth_rate: float | None = None, frequency: float | None = None) -> Row:
@@ -78,17 +78,51 @@ def row(state: Steady, growth_rate: float | None = None, frequency: float | None
         "tail_to_head_m": float(state.tail_to_head),
         "torque_N_m": float(motor_torque(state)),
     }
-    if state.scene.rod.topology.head is None:
-        return numbers
-    speed, rate = float(state.speed), float(state.head_rate)
-    numbers |= {"v_m_per_s": speed, "head_rate_rad_per_s": rate}
-    heads = [term for term in state.scene.terms if isinstance(term, HeadDrag)]
+    return numbers | _of_head(state.scene, float(state.speed), float(state.head_rate))
+
+
+def _of_head(scene: Scene, speed: float, rate: float) -> Row:
+    """What a head says: how fast it gets on and turns, and against which drag."""
+    if scene.rod.topology.head is None:
+        return {}
+    numbers: Row = {"v_m_per_s": speed, "head_rate_rad_per_s": rate}
+    heads = [term for term in scene.terms if isinstance(term, HeadDrag)]
     if len(heads) == 1:
         (head,) = heads
         force, torque = float(head.translation) * speed, float(head.spin) * abs(rate)
         numbers["propulsive_force_N"] = force
         numbers["efficiency"] = abs(force) * float(head.radius) / torque if torque > 0 else None
     return numbers
+
+
+def orbit_row(orbit: Orbit, multiplier: complex | None = None) -> Row:
+    """The numbers of an orbit, as those of a steady state: means over a turn of the motors.
+
+    `torque_N_m` is the mean of all motors. The growth rate and the frequency are those of the
+    largest Floquet `multiplier`, None if that is not known.
+    """
+    numbers: Row = dict.fromkeys(NAMES)
+    numbers |= {"status": "ok", "iterations": orbit.iterations, "residual": orbit.residual}
+    if multiplier is not None:
+        exponent = np.log(complex(multiplier)) / orbit.period
+        numbers["growth_rate_per_s"] = float(exponent.real)
+        numbers["frequency_per_s"] = abs(float(exponent.imag)) / (2 * np.pi)
+    states = orbit.one_turn()
+    x = positions(orbit.scene.rod.topology, states.q)
+    numbers["tail_to_head_m"] = float(jnp.mean(jnp.linalg.norm(x[:, -1] - x[:, 0], axis=-1)))
+    if orbit.scene.rod.topology.motors:
+        numbers["torque_N_m"] = float(jnp.mean(_torques(orbit.scene, states)))
+    return numbers | _of_head(orbit.scene, orbit.speed, orbit.head_rate)
+
+
+@jax.jit
+def _torques(scene: Scene, states: State) -> Float[Array, "t k"]:
+    """N m, of every motor at some times."""
+
+    def stored(angle: Float[Array, " k"], state: State) -> Array:
+        return sum(energies(scene, replace(state, motor_angle=angle)).values(), jnp.zeros(()))
+
+    return jax.vmap(lambda state: jax.grad(stored)(state.motor_angle, state))(states)
 
 
 PANELS = (

@@ -1,9 +1,11 @@
 """Steady states of a scene over a parameter, as the command `derjax steady` finds them."""
 
+import contextlib
 import dataclasses
 import json
 import shlex
 import sys
+from collections.abc import Iterator
 from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
@@ -12,11 +14,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import xarray as xr
+from scipy.spatial.transform import Rotation
 
 from ..core.errors import InputError
 from ..core.status import SolverError
 from ..integrate.step import Scene
 from ..io.output import Output, output_directory
+from ..rods.kinematics import positions
+from ..rods.rod import State
 from ..rods.topology import Topology
 from ..scenes.build import build
 from ..scenes.extensions import unit_of
@@ -24,7 +29,7 @@ from ..scenes.file import SceneFile
 from ..scenes.load import load_scene
 from ..steady.curve import along
 from ..steady.motion import symmetry_of
-from ..steady.solve import Steady
+from ..steady.orbit import Orbit, orbit, period_of
 from ..steady.stability import Stability, stability, threshold
 from .progress import Progress, interruptible
 
@@ -118,7 +123,7 @@ def steady_curve(options: Options) -> int:
     name, values = points_of(options.vary, file)
     try:
         scenes = [build(file, {name: value}) for value in values]
-        symmetry_of(scenes[0])
+        _check(scenes[0])
     except InputError as error:
         raise InputError(f"{options.scene}: {error}") from None
     record = {
@@ -130,6 +135,14 @@ def steady_curve(options: Options) -> int:
     with output_directory(options.output) as output:
         rows = _earlier(options, record, name)
         return _compute(options, scenes, name, values, rows, record, output)
+
+
+def _check(scene: Scene) -> None:
+    """Raises InputError where a scene has no steady motion."""
+    if _turns_past_itself(scene):
+        period_of(scene)
+    else:
+        symmetry_of(scene)
 
 
 def _earlier(options: Options, record: dict[str, Any], name: str) -> dict[float, dict[str, Any]]:
@@ -157,6 +170,102 @@ def _earlier(options: Options, record: dict[str, Any], name: str) -> dict[float,
     return {float(row[name]): {str(k): v for k, v in row.items()} for row in found}
 
 
+@dataclasses.dataclass(frozen=True)
+class Motion:
+    """A shape that moves steadily, or that of an orbit where a turn begins.
+
+    Attributes:
+        scene: whose motion.
+        positions: (n, 3) m.
+        rotation: (3,) rad/s, of an orbit in the mean.
+        velocity: (3,) m/s, likewise.
+        growth: 1/s, of the leading mode; None if it was not asked for.
+        mode: (n, 3) complex displacement of the nodes in that mode, in units of its own.
+        pace: rad/s, of that mode in the turning frame.
+    """
+
+    scene: Scene
+    positions: np.ndarray
+    rotation: np.ndarray
+    velocity: np.ndarray
+    growth: float | None = None
+    mode: np.ndarray | None = None
+    pace: float | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Point:
+    """What has been found at one value of the parameter: its numbers, and a motion or why not."""
+
+    row: dict[str, Any]
+    motion: Motion | None = None
+    message: str = ""
+
+
+def _shapes_that_last(scenes: list[Scene], values: list[float], modes: bool) -> Iterator[Point]:
+    """Steady states of robots with one flagellum."""
+    from ..results import steady as results  # slow to import
+
+    for state in along(scenes, values):
+        if not state.ok:
+            yield Point(results.row(state), message=state.message())
+            continue
+        found = stability(state) if modes else None
+        known: dict[str, Any] = {}
+        if found is not None:
+            known = {
+                "growth": found.growth_rate,
+                "mode": _at_nodes(state.scene.rod.topology, found),
+                "pace": 2 * np.pi * found.frequency,
+            }
+        frequency = None if found is None else abs(found.laboratory_frequency)
+        yield Point(
+            results.row(state, known.get("growth"), frequency),
+            Motion(
+                state.scene,
+                np.asarray(state.positions),
+                np.asarray(state.motion.rotation),
+                np.asarray(state.motion.velocity),
+                **known,
+            ),
+        )
+
+
+def _orbits(scenes: list[Scene], values: list[float], modes: bool) -> Iterator[Point]:
+    """Orbits of robots with several flagella, each looked for from the one before."""
+    from ..results import steady as results  # slow to import
+
+    begin: State | None = None
+    for scene in scenes:
+        try:
+            found = _orbit_from(scene, begin)
+        except SolverError as error:
+            numbers: dict[str, Any] = dict.fromkeys(results.NAMES)
+            yield Point(numbers | {"status": "no orbit"}, message=str(error))
+            continue
+        begin = found.state
+        multiplier = found.multipliers(2)[0] if modes else None
+        row = results.orbit_row(found, multiplier)
+        yield Point(
+            row,
+            Motion(
+                found.scene,
+                np.asarray(positions(scene.rod.topology, found.state.q)),
+                Rotation.from_matrix(found.turn).as_rotvec() / found.period,
+                found.shift / found.period,
+                growth=row["growth_rate_per_s"],
+            ),
+        )
+
+
+def _orbit_from(scene: Scene, begin: State | None) -> Orbit:
+    """From a state that is near, or else from rest."""
+    if begin is not None:
+        with contextlib.suppress(SolverError):
+            return orbit(scene, begin)
+    return orbit(scene)
+
+
 def _compute(
     options: Options,
     scenes: list[Scene],
@@ -166,34 +275,30 @@ def _compute(
     record: dict[str, Any],
     output: Output,
 ) -> int:
-    from ..results import steady as results  # slow to import
-
-    found: dict[float, tuple[Steady, Stability | None]] = {}
+    found: dict[float, Point] = {}
     stopped = False
     if not options.quiet:
         print(f"compiling {options.scene} ...", file=sys.stderr, flush=True)
+    finder = _orbits if _turns_past_itself(scenes[0]) else _shapes_that_last
+    points = finder(scenes, values, options.stability)
     with (
         interruptible("stopping after this value; Ctrl-C again quits without saving") as stopping,
         Progress(len(values), "steady states", 0, options.quiet) as progress,
     ):
-        for k, (value, state) in enumerate(zip(values, along(scenes, values), strict=True)):
-            done = value in rows
-            modes = stability(state) if state.ok and options.stability else None
-            found[value] = state, modes
-            if not done:
-                growth = None if modes is None else modes.growth_rate
-                pace = None if modes is None else abs(modes.laboratory_frequency)
-                rows[value] = {name: value, **results.row(state, growth, pace)}
+        for k, (value, point) in enumerate(zip(values, points, strict=True)):
+            found[value] = point
+            if value not in rows:
+                rows[value] = {name: value, **point.row}
                 _write_table(rows, record, output)
             progress.update(k + 1)
             if stopping() and k + 1 < len(values):
                 stopped = True
                 break
-    good = {value: pair for value, pair in found.items() if pair[0].ok}
+    good = {value: point.motion for value, point in found.items() if point.motion is not None}
     if not good and not stopped:
-        reason = found[values[0]][0].message()
         raise SolverError(
-            f"{options.scene}: no steady state at any of {len(values)} values. The first: {reason}"
+            f"{options.scene}: no steady state at any of {len(values)} values. The first: "
+            f"{found[values[0]].message}"
         )
     zeros = _thresholds(good, name) if options.stability and not stopped else []
     _write_table(rows, record | {"thresholds": zeros}, output)
@@ -208,6 +313,12 @@ def _compute(
     return DONE
 
 
+def _turns_past_itself(scene: Scene) -> bool:
+    """Whether several motors turn, so that no shape lasts."""
+    topology = scene.rod.topology
+    return len(topology.motors) + len(topology.driven_edges) > 1
+
+
 def _write_table(rows: dict[float, dict[str, Any]], record: dict[str, Any], output: Output) -> None:
     with output.replacing(RECORD) as temporary:
         temporary.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
@@ -215,42 +326,34 @@ def _write_table(rows: dict[float, dict[str, Any]], record: dict[str, Any], outp
         pd.DataFrame([rows[value] for value in sorted(rows)]).to_csv(temporary, index=False)
 
 
-def _write_states(
-    good: dict[float, tuple[Steady, Stability | None]], name: str, options: Options, output: Output
-) -> None:
+def _write_states(good: dict[float, Motion], name: str, options: Options, output: Output) -> None:
     """Shapes, and leading modes, by the value of the parameter."""
     if not good:
         return
     ordered = sorted(good)
-    states = [good[value][0] for value in ordered]
+    motions = [good[value] for value in ordered]
     data: dict[str, Any] = {
         "position": (
             ("point", "node", "axis"),
-            np.stack([s.positions for s in states]),
+            np.stack([m.positions for m in motions]),
             {"units": "m"},
         ),
         "rotation": (
             ("point", "axis"),
-            np.stack([s.motion.rotation for s in states]),
+            np.stack([m.rotation for m in motions]),
             {"units": "rad/s"},
         ),
-        "velocity": (
-            ("point", "axis"),
-            np.stack([s.motion.velocity for s in states]),
-            {"units": "m/s"},
-        ),
+        "velocity": (("point", "axis"), np.stack([m.velocity for m in motions]), {"units": "m/s"}),
     }
-    modes = [good[value][1] for value in ordered]
-    if all(m is not None for m in modes):
-        topology = states[0].scene.rod.topology
-        leading = np.stack([_at_nodes(topology, m) for m in modes if m is not None])
-        growth = np.array([m.growth_rate for m in modes if m is not None])
-        pace = np.array([2 * np.pi * m.frequency for m in modes if m is not None])
+    if all(m.growth is not None for m in motions):
+        data["growth_rate"] = (("point",), [m.growth for m in motions], {"units": "1/s"})
+    modes = [m.mode for m in motions if m.mode is not None]
+    if len(modes) == len(motions):
+        leading = np.stack(modes)
         data |= {
             "mode_real": (("point", "node", "axis"), np.real(leading)),
             "mode_imag": (("point", "node", "axis"), np.imag(leading)),
-            "growth_rate": (("point",), growth, {"units": "1/s"}),
-            "angular_frequency": (("point",), pace, {"units": "rad/s"}),
+            "angular_frequency": (("point",), [m.pace for m in motions], {"units": "rad/s"}),
         }
     coordinates = {name: ("point", ordered, {"units": unit_of(name)}), "axis": list("xyz")}
     attributes = {"title": "Steady states, computed by derjax", "command": options.command()}
@@ -263,23 +366,27 @@ def _at_nodes(topology: Topology, modes: Stability) -> np.ndarray:
     return np.asarray(modes.modes[0][: 3 * topology.n_nodes]).reshape(-1, 3)
 
 
-def _thresholds(good: dict[float, tuple[Steady, Stability | None]], name: str) -> list[float]:
-    """Where the growth rate changes sign between neighbouring values."""
+def _thresholds(good: dict[float, Motion], name: str) -> list[float]:
+    """Where the growth rate changes sign between neighbouring values.
+
+    That of a steady state is found exactly; that of an orbit is interpolated.
+    """
     zeros, ordered = [], sorted(good)
     for low, high in pairwise(ordered):
-        first, second = good[low][1], good[high][1]
-        if first is None or second is None or first.growth_rate * second.growth_rate > 0:
+        first, second = good[low].growth, good[high].growth
+        if first is None or second is None or first * second > 0:
             continue
-        part = first.growth_rate / (first.growth_rate - second.growth_rate)
-        scene = good[low][0].scene
-        zeros.append(threshold(scene, name, start=low + part * (high - low)).value)
+        near = low + first / (first - second) * (high - low)
+        scene = good[low].scene
+        orbits = _turns_past_itself(scene)
+        zeros.append(near if orbits else threshold(scene, name, start=near).value)
     return zeros
 
 
 def _draw(
     options: Options,
     rows: list[dict[str, Any]],
-    good: dict[float, tuple[Steady, Stability | None]],
+    good: dict[float, Motion],
     name: str,
     zeros: list[float],
     output: Output,
@@ -290,17 +397,16 @@ def _draw(
     figures = {
         SHAPES: results.shapes(
             [{name: value} for value in ordered],
-            np.stack([good[value][0].positions for value in ordered]),
+            np.stack([good[value].positions for value in ordered]),
             name,
         )
     }
     if len(rows) > 1:
         figures[CURVES] = results.curves(rows, name, unit_of(name), zeros)
-    state, modes = good[ordered[-1]]
-    if modes is not None:
-        mode = _at_nodes(state.scene.rod.topology, modes)
-        title = f"Leading mode at {name} = {ordered[-1]:g}: growth {modes.growth_rate:.3g} 1/s"
-        figures[MODE] = results.mode_picture(np.asarray(state.positions), mode, title)
+    last = good[ordered[-1]]
+    if last.mode is not None:
+        title = f"Leading mode at {name} = {ordered[-1]:g}: growth {last.growth:.3g} 1/s"
+        figures[MODE] = results.mode_picture(last.positions, last.mode, title)
     for file, figure in figures.items():
         with output.replacing(file) as temporary:
             figure.savefig(temporary, format="png")
@@ -309,7 +415,7 @@ def _draw(
 def _tell(
     options: Options,
     rows: dict[float, dict[str, Any]],
-    found: dict[float, tuple[Steady, Stability | None]],
+    found: dict[float, Point],
     name: str,
     zeros: list[float],
 ) -> None:
@@ -321,7 +427,7 @@ def _tell(
     print(frame[list(shown)].to_string(index=False))
     for zero in zeros:
         print(f"stability changes at {name} = {zero:.6g}")
-    for value, (state, _) in found.items():
-        if not state.ok:
-            print(f"{name} = {value:g}: {state.message()}")
+    for value, point in found.items():
+        if point.message:
+            print(f"{name} = {value:g}: {point.message}")
     print(f"results in {options.output}")

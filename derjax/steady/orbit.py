@@ -101,6 +101,10 @@ class Orbit:
     turns: int
     enlarged: int
 
+    def one_turn(self) -> State:
+        """The states of a turn, after every step of time, with a leading axis."""
+        return _states_of_turn(self.steps, self.scene, self.state, self.period)
+
     def multipliers(self, count: int = 4) -> Complex[np.ndarray, " k"]:
         """The largest Floquet multipliers, by Arnoldi's method.
 
@@ -278,19 +282,34 @@ def period_of(scene: Scene) -> float:
 
 
 @partial(jax.jit, static_argnums=0)
-def _one_turn(steps: int, scene: Scene, state: State, period: Array, z: Array) -> _Turn:
-    topology = scene.rod.topology
-    # Without history: else a turn would depend on more than where it begins.
+def _states_of_turn(steps: int, scene: Scene, state: State, period: Array) -> State:
+    begin = _beginning(scene, state, jnp.zeros(2 * state.q.size))
+    return _marched(steps, scene, begin, period)[0]
+
+
+def _beginning(scene: Scene, state: State, z: Array) -> State:
+    """A state that is displaced by z, without history.
+
+    Else a turn would depend on more than where it begins.
+    """
     apart, faster = jnp.split(z, 2)
-    begin = transport_frames(scene.rod, state, state.q + apart)
-    begin = replace(
-        begin,
+    return replace(
+        transport_frames(scene.rod, state, state.q + apart),
         velocity=state.velocity + faster,
         turns=jnp.zeros_like(state.turns),
         history=no_history(state.q),
     )
-    stepping = replace(scene, control=None, step_length=period / steps)
-    states, stats = march_frames(stepping, begin, steps, 1)
+
+
+def _marched(steps: int, scene: Scene, begin: State, period: Array) -> tuple[State, RolloutStats]:
+    return march_frames(replace(scene, control=None, step_length=period / steps), begin, steps, 1)
+
+
+@partial(jax.jit, static_argnums=0)
+def _one_turn(steps: int, scene: Scene, state: State, period: Array, z: Array) -> _Turn:
+    topology = scene.rod.topology
+    begin = _beginning(scene, state, z)
+    states, stats = _marched(steps, scene, begin, period)
     end = jax.tree.map(lambda leaf: leaf[-1], states)
     turn, shift = jnp.eye(3), jnp.zeros(3)
     if not topology.fixed_dofs:

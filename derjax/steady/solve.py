@@ -8,6 +8,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from ..core.derivatives import jacobian
 from ..core.pytree import pytree, replace
 from ..core.status import SolverError, Status
 from ..integrate.step import Scene
@@ -314,7 +315,7 @@ def newton(
         stiffness = equations.stiffness(z, part)
 
         def others() -> Array:
-            return jax.jacfwd(equations.residual)(z, part) - stiffness
+            return jacobian(lambda z: equations.residual(z, part), z) - stiffness
 
         kept = lax.cond(renew, others, lambda: now.kept)
         ahead = z - jnp.linalg.solve(kept + stiffness, residual)
@@ -399,7 +400,7 @@ def solved_by(equations: Equations, solution: Found) -> Steady:
     found, part, status, tries, size = solution
 
     def linear(tangent: Any, y: Array) -> Array:
-        return jnp.linalg.solve(jax.jacfwd(tangent)(jnp.zeros_like(y)), y)
+        return jnp.linalg.solve(jacobian(tangent, jnp.zeros_like(y)), y)
 
     here = equations.near(lax.stop_gradient(found))
     z = lax.custom_root(lambda z: here.residual(z, part), found, lambda _, there: there, linear)

@@ -2,10 +2,10 @@
 
 A small displacement xi of the turning shape obeys D dxi/dt = -J xi, with J the derivative of the
 imbalance of forces by the shape, that of the rigid velocities included, and D its derivative by the
-rates. So exp(lambda t) needs -J xi = lambda D xi, a generalised eigenproblem: most angles have no
-drag, and with it no finite eigenvalue. Rigid motions of the shape have the eigenvalues 0 and, as
-seen from the turning shape, +-i |Omega|. Masses count for the balance of the steady state, but not
-for how displacements from it decay.
+rates. So exp(lambda t) needs -J xi = lambda D xi, a generalised eigenproblem. Most angles have no
+drag: they follow the others at once, and are eliminated before. Rigid motions of the shape have the
+eigenvalues 0 and, as seen from the turning shape, +-i |Omega|. Masses count for the balance of the
+steady state, but not for how displacements from it decay.
 """
 
 from collections.abc import Sequence
@@ -18,14 +18,15 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Complex, Float
 
+from ..core.derivatives import jacobian
 from ..core.pytree import pytree, replace
 from ..core.status import SolverError
 from ..integrate.step import Scene
 from .motion import imbalance, rates, rotating_acceleration
 from .solve import Steady, steady
 
-INFINITE = 1e9
-"""Eigenvalues (1/s) that are larger are those of angles without drag: over the rate of the motor,
+INFINITE = 1e12
+"""Eigenvalues (1/s) that are larger are those of motions without drag: over the rate of the motor,
 or over the slowest of all where nothing turns."""
 
 FIRST_STEP, LONGEST_STEP = 0.02, 0.3
@@ -109,8 +110,8 @@ def linearisation(state: Steady) -> Linearisation:
     """The matrices of small displacements from a steady state."""
     q, still = state.state.q, jnp.zeros_like(state.state.q)
     free = state.scene.rod.topology.free_dofs
-    by_shape = jax.jacfwd(lambda x: _imbalance_by(state, x, still))(q)
-    by_rate = jax.jacfwd(lambda v: _imbalance_by(state, q, v))(still)
+    by_shape = jacobian(lambda x: _imbalance_by(state, x, still), q)
+    by_rate = jacobian(lambda v: _imbalance_by(state, q, v), still)
     return Linearisation(by_shape[free][:, free], by_rate[free][:, free])
 
 
@@ -129,8 +130,13 @@ def stability(state: Steady) -> Stability:
     scale = np.broadcast_to(state.scene.newton.force_scale, (topology.n_dofs,))
     unit = scale[topology.free_dofs]
     stiffness, drag = stiffness / unit[:, None], drag / unit[:, None]
-    found: Any = scipy.linalg.eig(-stiffness, drag, left=True, right=True, homogeneous_eigvals=True)
+    moving = np.any(drag, axis=0) | np.any(drag, axis=1)
+    follow = _Followers(stiffness, moving)
+    found: Any = scipy.linalg.eig(
+        -follow.condensed(), drag[np.ix_(moving, moving)], True, True, homogeneous_eigvals=True
+    )
     (alpha, beta), left, right = found
+    left, right = follow.left(left), follow.right(right)
     turning = float(jnp.linalg.norm(state.motion.rotation))
     pace = max(turning, abs(float(state.motor_rate)))
     if pace == 0.0:  # nothing turns: the slowest mode says what is fast
@@ -148,6 +154,41 @@ def stability(state: Steady) -> Stability:
 
     # The left eigenvectors were those of rows in the solver's units.
     return Stability(state, values[order], whole(right), whole(left / unit[:, None]), error)
+
+
+class _Followers:
+    """Degrees of freedom without drag: always where the others put them, in balance.
+
+    Args:
+        stiffness: (f, f) of all degrees of freedom.
+        moving: (f,) which of them have drag.
+    """
+
+    def __init__(self, stiffness: np.ndarray, moving: np.ndarray) -> None:
+        self.stiffness, self.moving = stiffness, moving
+        at, others = np.flatnonzero(moving), np.flatnonzero(~moving)
+        own = stiffness[np.ix_(others, others)]
+        self.rows = np.linalg.solve(own, stiffness[np.ix_(others, at)])
+        self.columns = np.linalg.solve(own.T, stiffness[np.ix_(at, others)].T)
+
+    def condensed(self) -> np.ndarray:
+        """The stiffness that those with drag feel."""
+        at, others = np.flatnonzero(self.moving), np.flatnonzero(~self.moving)
+        between = self.stiffness[np.ix_(at, others)]
+        return self.stiffness[np.ix_(at, at)] - between @ self.rows
+
+    def right(self, vectors: np.ndarray) -> np.ndarray:
+        """Eigenvectors of all, from those of the ones with drag."""
+        return self._whole(vectors, -self.rows @ vectors)
+
+    def left(self, vectors: np.ndarray) -> np.ndarray:
+        """The same for left eigenvectors."""
+        return self._whole(vectors, -self.columns @ vectors)
+
+    def _whole(self, vectors: np.ndarray, others: np.ndarray) -> np.ndarray:
+        full = np.zeros((len(self.moving), vectors.shape[1]), vectors.dtype)
+        full[self.moving], full[~self.moving] = vectors, others
+        return full
 
 
 def _without_rigid(values: np.ndarray, state: Steady, turning: float) -> tuple[np.ndarray, float]:
