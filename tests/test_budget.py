@@ -18,6 +18,8 @@ BUDGET = 70.0
 LARGER: dict[str, tuple[float, str]] = {
     "test_steady.py": (150.0, "derivatives of eigenvalues are second derivatives of all forces"),
     "test_blocks.py": (130.0, "four kinds of robot, by two solvers that share no program"),
+    "test_orbit.py": (110.0, "derivatives of turns, of one and of two flagella"),
+    "test_equilibrium.py": (85.0, "rods under four kinds of load, each a program of its own"),
     "test_readme.py": (110.0, "the calibration that README promises, on its own mesh"),
     "test_notebooks.py": (110.0, "all that the notebook does, in a process of its own"),
 }

@@ -37,6 +37,11 @@ def alone() -> tuple[dj.Scene, dj.Orbit]:
     return scene, dj.orbit(scene, steps=STEPS)
 
 
+@pytest.fixture(scope="module")
+def pair() -> dj.Orbit:
+    return dj.orbit(scene_of(kind="two_flagella", separation=SEPARATION), steps=STEPS)
+
+
 def test_of_one_flagellum_it_is_the_steady_state(alone):
     """Speed, head rate, and multipliers exp(eigenvalue T), with errors of steps of time."""
     scene, found = alone
@@ -74,10 +79,9 @@ def agree_with_differences(
             assert slopes[name][what] == pytest.approx(difference, rel=tolerance, abs=scale)
 
 
-def test_two_flagella_repeat_themselves_and_a_long_simulation_ends_in_that():
+def test_two_flagella_repeat_themselves_and_a_long_simulation_ends_in_that(pair):
     """After five turns the robot has moved five times as in one; and after many it was no other."""
-    scene = scene_of(kind="two_flagella", separation=SEPARATION)
-    found = dj.orbit(scene, steps=STEPS)
+    found = pair
     assert np.abs(found.multipliers(2)).max() < 1.0
     five = dj.rollout(found.scene, end=3.75, state=found.state, reverse_mode=False)
     five.raise_if_failed()
@@ -174,7 +178,7 @@ method = "none"
 """
 
 
-def test_the_command_follows_orbits_of_several_flagella(tmp_path, capsys):
+def test_the_command_follows_orbits_of_several_flagella(pair, tmp_path, capsys):
     """A row for each value with the numbers of its orbit; motors without a period are refused."""
     path, out = tmp_path / "scene.toml", tmp_path / "out"
     path.write_text(SIDE_BY_SIDE)
@@ -182,7 +186,7 @@ def test_the_command_follows_orbits_of_several_flagella(tmp_path, capsys):
     assert main([*argv, "--stability", "--no-figures"]) == 0
     table = pd.read_csv(out / "steady.csv")
     assert list(table.status) == ["ok", "ok"]
-    found = dj.orbit(scene_of(kind="two_flagella", separation=SEPARATION), steps=STEPS)
+    found = pair
     assert table.v_m_per_s[0] == pytest.approx(found.speed, rel=1e-4)
     assert table.growth_rate_per_s[0] == pytest.approx(
         np.log(np.abs(found.multipliers(2)[0])) / found.period, rel=1e-2
