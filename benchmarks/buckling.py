@@ -42,7 +42,7 @@ from .parallel import in_parallel
 
 PITCHES = (5, 7, 9)
 RPM = (30.0, 50.0, *np.arange(75.0, 301.0, 25.0).tolist())
-WIDE = np.arange(150.0, 451.0, 50.0).tolist()
+WIDE = np.arange(100.0, 451.0, 50.0).tolist()
 """rpm, where it is not known where to look."""
 END, WINDOW = 60.0, 20.0
 """Length of a run, and of its last part, over which is averaged; s."""
@@ -306,7 +306,7 @@ def figure(table: pd.DataFrame, path: Path) -> None:
     import matplotlib.pyplot as plt
 
     fig, (curves, bars) = plt.subplots(
-        1, 2, figsize=(11, 4.4), width_ratios=(1.5, 1), layout="constrained"
+        1, 2, figsize=(11, 5.2), width_ratios=(1.3, 1), layout="constrained"
     )
     for ratio in PITCHES:
         _curve(curves, table, ratio)
@@ -358,9 +358,9 @@ def _bars(axis, found: dict[tuple[str, int], Bracket]) -> None:
             axis.text(s="runs failed", ha="center", va="center", fontsize=9, bbox=PLAIN, **where)
     for ratio, rate in PAPER.items():
         axis.axvline(rate, color=COLOURS[ratio], ls="--", lw=1.2)
-    axis.set_yticks(range(len(names)), [textwrap.fill(name, 24) for name in names])
+    axis.set_yticks(range(len(names)), [textwrap.fill(name, 34) for name in names], fontsize=7.5)
     axis.invert_yaxis()
-    axis.set(xlabel=r"buckles between these $\bar\omega$", xlim=(180, 425))
+    axis.set(xlabel=r"buckles between these $\bar\omega$", xlim=(180, 480))
     axis.tick_params(axis="y", length=0)
 
 

@@ -233,6 +233,16 @@ def test_a_branch_is_followed_around_a_fold():
         assert dj.steady(scene.replace(rpm=value), guess=before).ok == found
 
 
+def test_along_a_branch_a_change_of_stability_is_located():
+    branch = dj.branch(dj.build(FILE, {"rpm": 120.0}), "rpm", 280.0)
+    assert branch.complete
+    growth = branch.growth_rates()
+    assert growth[0] < 0.0 < growth[-1]
+    (found,) = branch.thresholds()
+    assert abs(found.stability.growth_rate) < 1e-7
+    assert found.value == pytest.approx(dj.threshold(dj.build(FILE, {"rpm": 200.0})).value)
+
+
 def test_failure_names_the_rate_that_was_reached():
     state = replace(dj.steady(dj.build(FILE)), status=jnp.array(1), motor_rate=jnp.array(1.0))
     with pytest.raises(dj.SolverError, match=r"beyond 9\.5493 rpm"):

@@ -26,6 +26,7 @@ from ..integrate.step import Scene
 from .equilibrium import still
 from .motion import Symmetry, symmetry_of
 from .solve import ROUNDING, Equations, Steady, newton, solved_by, steady, unknowns_of
+from .stability import Threshold, stability, threshold
 
 FIRST, SMALLEST, LONGEST = 0.02, 1e-6, 0.1
 """Distances between points."""
@@ -53,6 +54,25 @@ class Branch:
     folds: tuple[int, ...]
     message: str
     complete: bool
+
+    def growth_rates(self) -> Float[np.ndarray, " n"]:
+        """1/s, of the leading mode at every point."""
+        return np.array([stability(state).growth_rate for state in self.states])
+
+    def thresholds(self) -> tuple[Threshold, ...]:
+        """Where the leading mode begins to grow, or to decay, on the way along the branch.
+
+        Not between points that have a fold between them: there a mode changes its sign at the fold.
+        """
+        growth, found = self.growth_rates(), []
+        for k in np.flatnonzero(np.sign(growth[:-1]) != np.sign(growth[1:])):
+            if {int(k), int(k) + 1} & set(self.folds):
+                continue
+            part = growth[k] / (growth[k] - growth[k + 1])
+            near = self.values[k] + part * (self.values[k + 1] - self.values[k])
+            state = self.states[k]
+            found.append(threshold(state.scene, self.name, float(near), known=state))
+        return tuple(found)
 
 
 @pytree

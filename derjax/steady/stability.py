@@ -22,6 +22,7 @@ from ..core.derivatives import jacobian
 from ..core.pytree import pytree, replace
 from ..core.status import SolverError
 from ..integrate.step import Scene
+from .equilibrium import equilibrium
 from .motion import imbalance, rates, rotating_acceleration
 from .solve import Steady, steady
 
@@ -300,13 +301,15 @@ def threshold(
     start: float | None = None,
     tolerance: float = 1e-9,
     most: int = 30,
+    known: Steady | None = None,
 ) -> Threshold:
     """Where the growth rate of the leading mode vanishes, by secants.
 
     Args:
-        scene: a robot that swims steadily.
+        scene: a robot that swims steadily, or with a `known` equilibrium a rod that is held.
         name: of the parameter that is varied.
         start: value to start from; None for that of the scene.
+        known: a state near the one at `start`: on its branch the threshold is looked for.
         tolerance: relative change of the value at which it is found.
         most: steady states that are looked at.
 
@@ -315,10 +318,10 @@ def threshold(
     """
     value = scene.number(name) if start is None else start
     before: tuple[float, float] | None = None
-    known: Steady | None = None
+    find = equilibrium if known is not None and known.scene.motor is None else steady
     for count in range(1, most + 1):
         here = scene.replace(**{name: value})
-        state = steady(here, known)
+        state = find(here, known)
         modes = stability(state)
         growth = modes.growth_rate
         if before is None:
