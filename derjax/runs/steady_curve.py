@@ -177,7 +177,7 @@ class Motion:
     Attributes:
         scene: whose motion.
         positions: (n, 3) m.
-        rotation: (3,) rad/s, of an orbit in the mean.
+        rotation: (3,) rad/s; of an orbit what is left of a turn of the motors, over its period.
         velocity: (3,) m/s, likewise.
         growth: 1/s, of the leading mode; None if it was not asked for.
         mode: (n, 3) complex displacement of the nodes in that mode, in units of its own.
