@@ -17,7 +17,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TypeVar
 
-import jax
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
@@ -83,8 +82,7 @@ def measure(ratio: float, turns: int) -> tuple[list[dict[str, object]], np.ndarr
     rows = [row(ratio, "four turns from rest", orbit, spent)]
     run, waited = timed(lambda: dj.rollout(orbit.scene, frame=1.0, reverse_mode=False))
     if float(str(rows[0]["multiplier"])) > LEAVES:
-        last = jax.tree.map(lambda leaf: leaf[-1], run.states)
-        orbit, spent = timed(lambda: dj.orbit(orbit.scene, last, steps=STEPS))
+        orbit, spent = timed(lambda: dj.orbit(orbit.scene, run.last, steps=STEPS))
         rows.append(row(ratio, "end of the simulation", orbit, spent))
     x, angle = np.asarray(run.positions), np.asarray(run.head_angle)
     turn, shift = (np.asarray(a) for a in fitted(x[-2], x[-1]))

@@ -233,6 +233,16 @@ def test_a_branch_is_followed_around_a_fold():
         assert dj.steady(scene.replace(rpm=value), guess=before).ok == found
 
 
+def test_a_curve_finds_the_same_states_as_one_by_one(swimming):
+    """Also where a value comes twice; a name that is no number is told before anything is done."""
+    curve = list(dj.steady_curve(swimming.scene, "rpm", [60.0, 70.0, 70.0, 80.0]))
+    assert all(state.ok for state in curve)
+    assert float(curve[1].speed) == pytest.approx(float(curve[2].speed), rel=1e-9)
+    assert float(curve[-1].speed) == pytest.approx(float(swimming.speed), rel=1e-7)
+    with pytest.raises(KeyError, match="no such parameter"):
+        dj.steady_curve(swimming.scene, "speed", [1.0])
+
+
 def test_along_a_branch_a_change_of_stability_is_located():
     branch = dj.branch(dj.build(FILE, {"rpm": 120.0}), "rpm", 280.0)
     assert branch.complete

@@ -425,8 +425,10 @@ def _tell(
     for column in frame[list(shown)].select_dtypes("number"):
         frame[column] = [f"{value:.6g}" for value in frame[column]]
     print(frame[list(shown)].to_string(index=False))
+    motions = [point.motion for point in found.values() if point.motion is not None]
+    exact = not any(_turns_past_itself(motion.scene) for motion in motions)
     for zero in zeros:
-        print(f"stability changes at {name} = {zero:.6g}")
+        print(f"stability changes {'at' if exact else 'near (interpolated)'} {name} = {zero:.6g}")
     for value, point in found.items():
         if point.message:
             print(f"{name} = {value:g}: {point.message}")

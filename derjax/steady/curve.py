@@ -25,8 +25,10 @@ def steady_curve(scene: Scene, name: str, values: Iterable[float]) -> Iterator[S
 
     Raises:
         KeyError: a parameter that the scene does not have.
+        ValueError: one with several values.
         InputError: the scene cannot swim steadily.
     """
+    scene.number(name)
     values = list(values)
     return along((scene.replace(**{name: value}) for value in values), values)
 
@@ -46,6 +48,8 @@ def _guess(known: list[tuple[float, Steady]], value: float) -> Steady | None:
     if len(known) < 2:
         return known[-1][1] if known else None
     (first, before), (second, last) = known
+    if first == second:
+        return last
     return _extrapolated(before, last, jnp.asarray((value - second) / (second - first)))
 
 
