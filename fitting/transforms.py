@@ -37,6 +37,19 @@ class Log:
 
 
 @dataclass(frozen=True)
+class Whole:
+    """Any number, in units of `scale`."""
+
+    scale: float = 1.0
+
+    def value(self, free: Array) -> Array:
+        return self.scale * free
+
+    def free(self, value: float) -> float:
+        return value / self.scale
+
+
+@dataclass(frozen=True)
 class Interval:
     """Numbers between `low` and `high`: a logistic function of `free`."""
 
@@ -114,5 +127,6 @@ def select_parameters(names: Sequence[str], known: Mapping[str, object]) -> Para
         base, place = index_of(name)
         if place is not None and base in names:
             raise InputError(f"{base} is that of all flagella: fit it, or {name} and others")
-    special = {"poisson_ratio": Interval(-1.0, 0.5)}
-    return Parameters(tuple(names), tuple(special.get(name, Log()) for name in names))
+    special = {"poisson_ratio": Interval(-1.0, 0.5), "phase": Whole()}
+    chosen = (special.get(index_of(name)[0], Log()) for name in names)
+    return Parameters(tuple(names), tuple(chosen))

@@ -29,7 +29,7 @@ from ..terms.contact.segments import distance
 from .file import SceneFile
 from .parameters import EACH
 
-SHAPE = ("helix_radius", "pitch", "axial_length", "rod_radius", "separation", "bend")
+SHAPE = ("helix_radius", "pitch", "axial_length", "rod_radius", "separation", "bend", "phase")
 """The parameters that say which edges may touch."""
 
 
@@ -69,7 +69,7 @@ def _filaments(scene: SceneFile, p: Mapping[str, Array]) -> tuple[list[Array], A
     That is the length of those of the flagella, or its mean if they differ.
     """
     robot, filaments, edges = scene.robot, [], []
-    for k, (hand, phase) in enumerate(zip(robot.hands, robot.phases, strict=True)):
+    for k, hand in enumerate(robot.hands):
         length = _of(p["axial_length"], k)
         own_length = robot.each("axial_length")[k]
         if robot.shape == "helix":
@@ -82,7 +82,7 @@ def _filaments(scene: SceneFile, p: Mapping[str, Array]) -> tuple[list[Array], A
             n_edges = max(3, math.floor(own_length / robot.edge_length + 1e-9))
             edges.append(length / n_edges)
             nodes = arc(length, p.get("bend", jnp.zeros(())), n_edges)
-        filaments.append(rotated_about_x(phase, nodes) if phase else nodes)
+        filaments.append(rotated_about_x(_of(p["phase"], k), nodes) if "phase" in p else nodes)
     alike = all(np.ndim(p.get(name, 0.0)) == 0 for name in EACH)
     return filaments, edges[0] if alike else sum(edges[1:], edges[0]) / len(edges)
 

@@ -25,10 +25,11 @@ class RobotGeometry(NamedTuple):
     stiff_hinges: tuple[int, ...] = ()
 
 
-def rotated_about_x(azimuth: float, nodes: Nodes) -> Nodes:
+def rotated_about_x(azimuth: Array | float, nodes: Nodes) -> Nodes:
     """`nodes` turned about the x axis by an angle (rad)."""
-    c, s = np.cos(azimuth), np.sin(azimuth)
-    return nodes @ np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]])
+    c, s = jnp.cos(azimuth), jnp.sin(azimuth)
+    x, y, z = nodes.T
+    return jnp.stack([x, c * y - s * z, s * y + c * z], axis=1)
 
 
 def distance_from_axis(n_flagella: int, separation: Array) -> Array:

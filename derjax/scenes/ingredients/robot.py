@@ -36,6 +36,10 @@ def _coiled(file: SceneFile) -> bool:
     return file.robot.shape == "helix"
 
 
+def _bent(file: SceneFile) -> bool:
+    return file.robot.shape != "straight"
+
+
 class RobotTable(Ingredient):
     """[robot] Shape of the robot, in metres.
 
@@ -54,6 +58,7 @@ class RobotTable(Ingredient):
         "head_radius": Parameter("head_radius", "m", when=lambda s: not is_headless(s)),
         "bend": Parameter("bend", "rad", when=lambda s: s.robot.shape == "arc"),
         "separation": Parameter("separation", "m", when=lambda s: s.robot.count > 1),
+        "phase": Parameter("phase", "rad", each=True, when=_bent),
     }
     IDLE: ClassVar[tuple[Idle, ...]] = (
         Idle(
@@ -62,7 +67,7 @@ class RobotTable(Ingredient):
             has_value("robot", "shape"),
         ),
         Idle(("bend",), lambda s: s.robot.shape != "arc", has_value("robot", "shape")),
-        Idle(("phase",), lambda s: s.robot.shape == "straight", has_value("robot", "shape")),
+        Idle(("phase",), lambda s: not _bent(s), has_value("robot", "shape")),
         Idle(("separation",), lambda s: s.robot.count == 1, because("on a robot of 1 flagellum")),
         Idle(("head_radius",), is_headless, has_value("robot", "kind")),
         Idle(("clamped_tip",), lambda s: not is_headless(s), has_value("robot", "kind")),
