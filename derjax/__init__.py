@@ -48,6 +48,7 @@ from .results.mechanics import potential as potential
 from .results.mechanics import resistance as resistance
 from .results.run import Run as Run
 from .results.run import rollout as rollout
+from .results.run import steady_run as steady_run
 from .rods.kinematics import angles as angles
 from .rods.kinematics import positions as positions
 from .rods.rod import Rod as Rod

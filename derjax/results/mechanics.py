@@ -44,6 +44,29 @@ def forces(scene: Scene, state: State) -> dict[str, Float[Array, "n 3"]]:
     return found
 
 
+@jax.jit
+def motor_torques(scene: Scene, states: State) -> Float[Array, "t k"]:
+    """N m, with which each motor turns its flagellum against the head, or a held filament.
+
+    Args:
+        scene: whose motors.
+        states: with a leading axis of time. The torque on a held filament is that against its drag
+            as it moves in them.
+    """
+    topology = scene.rod.topology
+
+    def stored(angle: Float[Array, " k"], state: State) -> Array:
+        return sum(energies(scene, replace(state, motor_angle=angle)).values(), jnp.zeros(()))
+
+    def at_one_time(state: State) -> Float[Array, " k"]:
+        if topology.driven_edges:
+            balance = imbalance(scene, state.q, state.velocity, state.acceleration)
+            return balance[topology.edge_dofs(topology.driven_edges)]
+        return jax.grad(stored)(state.motor_angle, state)
+
+    return jax.vmap(at_one_time)(states)
+
+
 def potential(scene: Scene, state: State, length: float | Array) -> Potential:
     """The incremental potential of a step of implicit Euler from `state`.
 

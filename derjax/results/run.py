@@ -6,18 +6,22 @@ from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from ..core.errors import SolverWarning
-from ..core.pytree import pytree
+from ..core.pytree import pytree, replace
 from ..core.status import Status
-from ..integrate.frames import RolloutStats, march_frames, roll_frames
+from ..integrate.frames import RolloutStats, march_frames, new_stats, roll_frames
 from ..integrate.step import Scene, enlarge
 from ..rods import head as kinematics
-from ..rods.kinematics import positions
-from ..rods.rod import State
+from ..rods.kinematics import positions, tangents
+from ..rods.rod import State, moved
+from ..rods.vectors import rotation_about
 from ..scenes.timing import whole_number
+from ..steady.motion import screw
+from ..steady.solve import Steady
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -175,6 +179,37 @@ def rollout(
             warnings.warn(stats.message(), SolverWarning, stacklevel=2)
     every = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), begin, states)
     return Run(scene, every, stats)
+
+
+def steady_run(state: Steady, times: Float[Array, " t"]) -> Run:
+    """The run of a robot that swims steadily: its shape moved and turned on, without a step.
+
+    Args:
+        state: the steady state.
+        times: s, from the moment of the state.
+    """
+    scene, topology, now = state.scene, state.scene.rod.topology, state.state
+    # Frames do not turn about their edges, as in a run: angles do that in their place.
+    turning = tangents(topology, positions(topology, now.q)) @ state.motion.rotation
+    (first, second), signs = topology.hinge_edges.T, topology.hinge_signs
+    twisting = signs[:, 1] * turning[second] - signs[:, 0] * turning[first]
+    at_angles = np.arange(topology.n_dofs) >= 3 * topology.n_nodes
+
+    def later(time: Array) -> State:
+        there = moved(topology, now, *screw(state.motion.velocity, state.motion.rotation, time))
+        along = tangents(topology, positions(topology, there.q))
+        return replace(
+            there,
+            q=there.q + time * jnp.where(at_angles, now.velocity, 0.0),
+            reference_director=jax.vmap(
+                lambda director, axis, rate: rotation_about(axis, -rate * time) @ director
+            )(there.reference_director, along, turning),
+            reference_twist=now.reference_twist - time * twisting,
+            motor_angle=now.motor_angle + time * state.motor_rate,
+            time=now.time + time,
+        )
+
+    return Run(scene, jax.vmap(later)(jnp.asarray(times, float)), new_stats())
 
 
 def _division(scene: Scene, end: float | None, frame: float | None) -> tuple[int, int]:

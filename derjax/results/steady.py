@@ -11,16 +11,13 @@ from jaxtyping import Array, Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..core.pytree import replace
 from ..core.status import Status
 from ..integrate.step import Scene
 from ..rods.kinematics import positions
-from ..rods.rod import State
-from ..steady.motion import imbalance
 from ..steady.orbit import Orbit
 from ..steady.solve import Steady
 from ..terms.fluid.head import HeadDrag
-from .mechanics import energies
+from .mechanics import motor_torques
 from .plots import FLAGELLUM, HEAD, MEAN, MM, STYLE
 
 NAMES = (
@@ -44,16 +41,9 @@ WORDS = {Status.OK: "ok", Status.NOT_STEADY: "not steady"}
 Row = dict[str, Any]
 
 
-@jax.jit
 def motor_torque(state: Steady) -> Float[Array, ""]:
     """N m: with which the motor turns the flagellum against the head, or a held filament."""
-    scene = state.scene
-    topology = scene.rod.topology
-    if topology.driven_edges:
-        balance = imbalance(scene, state.state.q, state.state.velocity, state.state.acceleration)
-        return balance[topology.edge_dofs(topology.driven_edges)][0]
-
-    return _torques(scene, jax.tree.map(lambda leaf: leaf[None], state.state))[0, 0]
+    return motor_torques(state.scene, jax.tree.map(lambda leaf: leaf[None], state.state))[0, 0]
 
 
 def row(state: Steady, growth_rate: float | None = None, frequency: float | None = None) -> Row:
@@ -111,18 +101,8 @@ def orbit_row(orbit: Orbit, multiplier: complex | None = None) -> Row:
     x = positions(orbit.scene.rod.topology, states.q)
     numbers["tail_to_head_m"] = float(jnp.mean(jnp.linalg.norm(x[:, -1] - x[:, 0], axis=-1)))
     if orbit.scene.rod.topology.motors:
-        numbers["torque_N_m"] = float(jnp.mean(_torques(orbit.scene, states)))
+        numbers["torque_N_m"] = float(jnp.mean(motor_torques(orbit.scene, states)))
     return numbers | _of_head(orbit.scene, orbit.speed, orbit.head_rate)
-
-
-@jax.jit
-def _torques(scene: Scene, states: State) -> Float[Array, "t k"]:
-    """N m, of every motor at some times."""
-
-    def stored(angle: Float[Array, " k"], state: State) -> Array:
-        return sum(energies(scene, replace(state, motor_angle=angle)).values(), jnp.zeros(()))
-
-    return jax.vmap(lambda state: jax.grad(stored)(state.motor_angle, state))(states)
 
 
 PANELS = (

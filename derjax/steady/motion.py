@@ -40,6 +40,26 @@ class RigidMotion:
     rotation: Float[Array, " 3"]
 
 
+def screw(
+    velocity: Float[Array, " 3"], rotation: Float[Array, " 3"], time: Array
+) -> tuple[Float[Array, "3 3"], Float[Array, " 3"]]:
+    """What a rigid motion that lasts makes of a shape: a turn about the origin, then a shift (m).
+
+    Args:
+        velocity: m/s, of what is at the origin at time zero.
+        rotation: rad/s.
+        time: s.
+    """
+    square = jnp.sum(rotation**2)
+    turns = square > 0.0
+    pace = jnp.sqrt(jnp.where(turns, square, 1.0))
+    angle, axis = jnp.where(turns, pace * time, 0.0), rotation / pace
+    # The integral of Rodrigues' formula over time.
+    around = cross(axis, velocity)
+    lag = (1.0 - jnp.cos(angle)) * around + (angle - jnp.sin(angle)) * cross(axis, around)
+    return rotation_about(axis, angle), time * velocity + lag / pace
+
+
 @pytree
 class Symmetry:
     """In which ways the shape of a scene may move as a whole, and what drives it.

@@ -395,6 +395,22 @@ def _solved(scene: Scene, symmetry: Symmetry, guess: Array, guessed: Array) -> S
     return solved_by(Equations(scene, symmetry), found)
 
 
+def again(scene: Scene, known: Steady) -> Steady:
+    """A steady state that is known, as a function of the numbers of its scene.
+
+    Nothing is solved for again: a program that only differentiates is short, and quick to compile.
+
+    Args:
+        scene: with the numbers of `known.scene`, which JAX may trace.
+        known: its steady state.
+    """
+    known = lax.stop_gradient(known)
+    equations = Equations(scene, symmetry_of(scene))
+    z = unknowns_of(equations, known)
+    found = z, jnp.ones(()), known.status, known.iterations, known.residual
+    return solved_by(equations, found)
+
+
 def solved_by(equations: Equations, solution: Found) -> Steady:
     """The steady state that has been found, with derivatives by the implicit function theorem."""
     found, part, status, tries, size = solution

@@ -1,0 +1,260 @@
+"""The quantities of a design, and their derivatives by its numbers.
+
+Through a steady state, by the implicit function theorem, or through a run in time. Whether a
+rollout is differentiated in forward or in reverse mode depends on how many numbers and how many
+quantities there are.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Literal, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from derjax import (
+    InputError,
+    Run,
+    Scene,
+    SolverError,
+    Status,
+    Steady,
+    march_frames,
+    roll_frames,
+    stability,
+    steady,
+    threshold,
+)
+from derjax.integrate.frames import RolloutStats
+from derjax.integrate.step import enlarge
+from derjax.rods.rod import State
+from derjax.steady.solve import again
+from derjax.steady.stability import growth_slopes
+
+from .motion import RunMotion, SteadyMotion
+from .quantities import Quantity
+
+Through = Literal["steady", "run"]
+Numbers = Mapping[str, Any]
+"""Parameters of a scene by name: single numbers, or arrays."""
+
+REVERSE_COSTS = 12
+"""Derivatives by so many numbers in forward mode cost what those of one quantity cost in reverse
+mode (`benchmarks/gradient_cost.py`)."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What a design achieves.
+
+    Attributes:
+        values: of the quantities, by name; empty if there is none.
+        slopes: derivatives of each by each of the numbers, in their shapes.
+        failure: why there is none; "" if there is.
+    """
+
+    values: dict[str, float]
+    slopes: dict[str, dict[str, np.ndarray]]
+    failure: str = ""
+
+    @property
+    def ok(self) -> bool:
+        """Whether there are values."""
+        return not self.failure
+
+
+class Evaluator(Protocol):
+    """Finds the quantities of a scene with some of its numbers replaced."""
+
+    def __call__(self, numbers: Numbers) -> Evaluation: ...
+
+
+class ThroughSteady:
+    """Quantities of steady states. Each is looked for from the nearest one that is known.
+
+    Args:
+        scene: with one motor of constant rate.
+        quantities: of motions and eigenvalues.
+    """
+
+    def __init__(self, scene: Scene, quantities: Sequence[Quantity]) -> None:
+        self.scene = scene
+        self.of_motion = [q for q in quantities if q.function is not None]
+        self.eigenvalues = [q.name for q in quantities if q.function is None]
+        self._known: list[tuple[np.ndarray, Steady]] = []
+        self._limit: float | None = None
+
+    def state(self, numbers: Numbers) -> Steady:
+        """The steady state, with its status."""
+        place = np.concatenate([np.ravel(value) for value in numbers.values()])
+        near = min(self._known, key=lambda k: float(_apart(k[0], place)), default=(None, None))
+        found = steady(self.scene.replace(**numbers), near[1])
+        if found.ok:
+            self._known = [*self._known[-MOST_KNOWN:], (place, found)]
+        return found
+
+    def __call__(self, numbers: Numbers) -> Evaluation:
+        try:
+            state = self.state(numbers)
+            state.raise_if_failed()
+            functions = tuple(q.function for q in self.of_motion)
+            found = _steady_slopes(functions, state, _arrays(numbers))
+            evaluation = _evaluation([q.name for q in self.of_motion], numbers, *found)
+            for name in self.eigenvalues:
+                value, slopes = self._eigenvalue(name, state, list(numbers))
+                evaluation.values[name] = value
+                evaluation.slopes[name] = {k: np.asarray(v) for k, v in slopes.items()}
+        except (SolverError, InputError) as error:
+            return _failed(error)
+        return evaluation
+
+    def _eigenvalue(
+        self, name: str, state: Steady, numbers: list[str]
+    ) -> tuple[float, dict[str, float]]:
+        """A growth rate, or the rate of the motor at which it vanishes, and its derivatives."""
+        if name == "growth_rate":
+            modes = stability(state)
+            return modes.growth_rate, growth_slopes(modes, numbers)
+        start = self._limit or 60 / (2 * np.pi) * float(state.motor_rate)
+        limit = threshold(state.scene, "rpm", start=start)
+        self._limit = limit.value
+        slopes = limit.derivatives([number for number in numbers if number != "rpm"])
+        return limit.value, {"rpm": 0.0, **slopes} if "rpm" in numbers else slopes
+
+
+MOST_KNOWN = 64
+"""Steady states that are kept to start from."""
+
+
+def _apart(a: np.ndarray, b: np.ndarray) -> float:
+    """How far two designs are from each other, relative to each number."""
+    return float(np.sum(((a - b) / np.maximum(np.abs(a) + np.abs(b), 1e-300)) ** 2))
+
+
+@partial(jax.jit, static_argnums=0)
+def _steady_slopes(
+    functions: tuple[Callable[[Any], Array], ...], state: Steady, numbers: dict[str, Array]
+) -> tuple[Float[Array, " q"], dict[str, Array]]:
+    def of(numbers: dict[str, Array]) -> tuple[Array, Array]:
+        motion = SteadyMotion(again(state.scene.replace(**numbers), state))
+        values = jnp.stack([function(motion) for function in functions])
+        return values, values
+
+    slopes, values = jax.jacfwd(of, has_aux=True)(numbers)
+    return values, slopes
+
+
+class ThroughRun:
+    """Quantities of runs in time, from the scene's start to the end that its file has.
+
+    Args:
+        scene: built from a scene file.
+        quantities: of motions and runs.
+        begin: s, from which on means are taken.
+    """
+
+    def __init__(self, scene: Scene, quantities: Sequence[Quantity], begin: float) -> None:
+        file = scene.source.file
+        self.scene, self.quantities = scene, quantities
+        self.frames, self.steps = file.n_frames, file.steps_per_frame
+        self.first = min(round(begin / (file.step * file.steps_per_frame)), self.frames - 1)
+        self.enlargements = 0
+
+    def run(self, numbers: Numbers) -> Run:
+        """The run of a design, without derivatives."""
+        while True:
+            here = _scene_of(self.scene, self.enlargements, numbers)
+            states, stats = _march(here, here.start, self.frames, self.steps)
+            if stats.status != Status.CAPACITY:
+                return Run(here, _with_start(here.start, states), stats)
+            self.enlargements += 1
+
+    def __call__(self, numbers: Numbers) -> Evaluation:
+        functions = tuple(q.function for q in self.quantities)
+        try:
+            # Numbers that cannot be are told here, as they are not known while JAX traces them.
+            self.scene.replace(**numbers)
+            while True:
+                division = self.frames, self.steps, self.first, self.enlargements
+                values, slopes, stats = _run_slopes(
+                    functions, division, self.scene, _arrays(numbers)
+                )
+                if stats.status != Status.CAPACITY:
+                    break
+                self.enlargements += 1
+            stats.raise_if_failed()
+        except (SolverError, InputError) as error:
+            return _failed(error)
+        return _evaluation([q.name for q in self.quantities], numbers, values, slopes)
+
+
+_march = jax.jit(march_frames, static_argnums=(2, 3))
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _run_slopes(
+    functions: tuple[Callable[[Any], Array], ...],
+    division: tuple[int, int, int, int],
+    scene: Scene,
+    numbers: dict[str, Array],
+) -> tuple[Float[Array, " q"], dict[str, Array], RolloutStats]:
+    n_frames, steps, first, enlargements = division
+    entries = sum(leaf.size for leaf in jax.tree.leaves(numbers))
+    forward = entries <= REVERSE_COSTS * len(functions)
+    program = march_frames if forward else roll_frames
+
+    def of(numbers: dict[str, Array]) -> tuple[Array, tuple[Array, RolloutStats]]:
+        here = _scene_of(scene, enlargements, numbers)
+        states, stats = program(here, here.start, n_frames, steps)
+        motion = RunMotion(Run(here, _with_start(here.start, states), stats), first)
+        values = jnp.stack([function(motion) for function in functions])
+        return values, (values, stats)
+
+    if forward:
+        slopes, (values, stats) = jax.jacfwd(of, has_aux=True)(numbers)
+        return values, slopes, stats
+    values, back, (_, stats) = jax.vjp(of, numbers, has_aux=True)
+    (slopes,) = lax.map(back, jnp.eye(len(functions)))  # one after the other: memory for one
+    return values, slopes, stats
+
+
+def _scene_of(scene: Scene, enlargements: int, numbers: Numbers) -> Scene:
+    """With some numbers, and longer lists of contacts."""
+    here = scene.replace(**numbers)
+    for _ in range(enlargements):
+        here = enlarge(here)
+    return here
+
+
+def _with_start(start: State, states: State) -> State:
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, states)
+
+
+def _arrays(numbers: Numbers) -> dict[str, Array]:
+    return {name: jnp.asarray(value, float) for name, value in numbers.items()}
+
+
+def _evaluation(
+    names: list[str], numbers: Numbers, values: Array, slopes: dict[str, Array]
+) -> Evaluation:
+    """Values and slopes by name, if all of them are numbers."""
+    found = dict(zip(names, np.asarray(values).tolist(), strict=True))
+    by_name = {
+        name: {number: np.asarray(slopes[number])[k] for number in numbers}
+        for k, name in enumerate(names)
+    }
+    for name in names:
+        if not np.isfinite(found[name]):
+            return Evaluation({}, {}, f"{name} is {found[name]}")
+        for number, slope in by_name[name].items():
+            if not np.all(np.isfinite(slope)):
+                return Evaluation({}, {}, f"the derivative of {name} by {number} is not finite")
+    return Evaluation(found, by_name)
+
+
+def _failed(error: Exception) -> Evaluation:
+    return Evaluation({}, {}, str(error))
