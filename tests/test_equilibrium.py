@@ -112,6 +112,23 @@ def test_a_straight_rod_relaxes_at_the_rates_of_its_modes():
     np.testing.assert_allclose(-found.real, rates, rtol=2e-2)
 
 
+def test_a_heavy_rod_in_a_thin_fluid_swings():
+    """m lambda^2 + c lambda + k = 0 for each of its modes, with k = b^4 EI / L^4."""
+    ends = jnp.concatenate([ROD.rest_length, jnp.zeros(1)])
+    density = 40.0  # kg/m: as much as makes the slowest mode swing
+    mass = density * 0.5 * (ends + jnp.roll(ends, 1))
+    inertia = dj.Inertia(jnp.concatenate([jnp.repeat(mass, 3), jnp.zeros(N)]))
+    found = dj.stability(dj.equilibrium(scene_with(inertia)))
+    drag, stiffness = float(VISCOSITY[1]), np.array([12.3624, 485.519]) * EI / LENGTH**4
+    swings = np.sqrt(4 * density * stiffness - drag**2) / (2 * density)
+    assert np.all(drag**2 < 4 * density * stiffness)
+    values = found.eigenvalues
+    for swing in swings:
+        pair = values[np.argsort(np.abs(values.imag - swing))[:2]]  # in both planes
+        np.testing.assert_allclose(pair.imag, swing, rtol=2e-2)
+        np.testing.assert_allclose(pair.real, -drag / (2 * density), rtol=2e-2)
+
+
 @dj.pytree
 class Tip(dj.Term):
     """Forces (N) on the last node.

@@ -117,6 +117,35 @@ def test_rigid_motions_are_modes_of_the_linearisation(swimming):
     assert dj.stability(swimming).rigid_error < 1e-5
 
 
+THIN = {"rpm": 60.0, "viscosity": 0.3, "youngs_modulus": 4e5}
+"""A fluid in which masses count."""
+
+
+def test_masses_count_in_how_displacements_decay():
+    """Rigid motions are modes, and the slowest is what the last of a simulation is made of."""
+    file = dj.SceneFile.from_dict(TINY | {"time": STEPS | {"inertia": True, "end": 6.0}})
+    scene = dj.build(file, THIN)
+    state = dj.steady(scene)
+    found = dj.stability(state)
+    assert found.rigid_error < 1e-5
+    mode = np.asarray(found.modes[0]).real
+    near = replace(state.state, q=state.state.q + 1e-3 * mode / np.abs(mode).max())
+    run = dj.rollout(scene, state=near, reverse_mode=False)
+    run.raise_if_failed()
+    x, there = np.asarray(run.positions), np.asarray(state.positions)
+    lengths = np.linalg.norm(x[:, 2:] - x[:, :1], axis=-1)
+    away = (lengths - np.linalg.norm(there[2:] - there[0], axis=-1))[40:]
+    # What takes one frame to the next, in the four directions that are left (dynamic mode
+    # decomposition: Schmid, J. Fluid Mech. 656, 5, 2010).
+    u, s, v = np.linalg.svd(away[:-1].T, full_matrices=False)
+    step = u[:, :4].T @ away[1:].T @ v[:4].T / s[:4]
+    seen = np.log(np.linalg.eigvals(step).astype(complex)) / STEPS["frame"]
+    value = found.eigenvalues[0]
+    assert np.min(np.abs(seen - value)) < 1e-3 * abs(value.real)
+    light = dj.stability(dj.steady(dj.build(FILE, THIN))).eigenvalues[0]
+    assert abs(light.real - value.real) > 5e-3 * abs(value.real)  # else it would say nothing
+
+
 def test_modes_balance_drag_and_stiffness(swimming):
     """-J xi = lambda D xi on all degrees of freedom, those without drag among them."""
     found, matrices = dj.stability(swimming), linearisation(swimming)

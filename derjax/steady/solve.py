@@ -20,6 +20,7 @@ from .motion import (
     elastic_stiffness,
     elsewhere,
     gauge,
+    held_still,
     moving_imbalance,
     rates,
     rotating_acceleration,
@@ -405,7 +406,8 @@ def again(scene: Scene, known: Steady) -> Steady:
         known: its steady state.
     """
     known = lax.stop_gradient(known)
-    equations = Equations(scene, symmetry_of(scene))
+    symmetry = held_still(scene) if scene.motor is None else symmetry_of(scene)
+    equations = Equations(scene, symmetry)
     z = unknowns_of(equations, known)
     found = z, jnp.ones(()), known.status, known.iterations, known.residual
     return solved_by(equations, found)

@@ -1,14 +1,15 @@
 """Whether a steady state is stable: growth rates, modes, and where they change sign.
 
-A small displacement xi of the turning shape obeys D dxi/dt = -J xi, with J the derivative of the
-imbalance of forces by the shape, that of the rigid velocities included, and D its derivative by the
-rates. So exp(lambda t) needs -J xi = lambda D xi, a generalised eigenproblem. Most angles have no
-drag: they follow the others at once, and are eliminated before. Rigid motions of the shape have the
-eigenvalues 0 and, as seen from the turning shape, +-i |Omega|. Masses count for the balance of the
-steady state, but not for how displacements from it decay.
+A small displacement xi of the turning shape obeys M d2xi/dt2 + D dxi/dt + J xi = 0, with J the
+derivative of the imbalance of forces by the shape, that of the rigid motion included, D that by the
+rates, Coriolis' force included, and M that by the accelerations. So exp(lambda t) needs
+(lambda^2 M + lambda D + J) xi = 0, an eigenproblem. In a scene without inertia M is zero, and there
+are half as many modes. Most angles have no drag: they follow the others at once, and are eliminated
+before. (So that they do, their moments of inertia, which are tiny, are left out.) Rigid motions of
+the shape have the eigenvalues 0 and, as seen from the turning shape, +-i |Omega|.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +25,7 @@ from ..core.status import SolverError
 from ..integrate.step import Scene
 from .equilibrium import equilibrium
 from .motion import imbalance, rates, rotating_acceleration
-from .solve import Steady, steady
+from .solve import Steady, again, steady
 
 INFINITE = 1e12
 """Eigenvalues (1/s) that are larger are those of motions without drag: over the rate of the motor,
@@ -44,10 +45,12 @@ class Linearisation:
     Attributes:
         stiffness: (f, f) J, N/m and so on.
         drag: (f, f) D, N s/m and so on.
+        mass: (f, f) M, kg.
     """
 
     stiffness: Float[Array, "f f"]
     drag: Float[Array, "f f"]
+    mass: Float[Array, "f f"]
 
 
 @dataclass(frozen=True)
@@ -96,14 +99,24 @@ class Stability:
         return self.growth_rate < 0.0
 
 
-def _imbalance_by(state: Steady, q: Array, extra: Array) -> Array:
-    """The imbalance at a shape that moves as the steady one does, and `extra` (m/s, rad/s)."""
+def _imbalance_by(state: Steady, q: Array, rate: Array, acceleration: Array) -> Array:
+    """The imbalance at a shape that moves as the steady one does, and besides.
+
+    Args:
+        state: the steady one.
+        q: (d,) the shape.
+        rate: (d,) m/s and rad/s, at which it changes in the turning frame.
+        acceleration: (d,) m/s^2 and rad/s^2, likewise.
+    """
     # Carried from the state itself, frames do not turn to first order, and the rate of an angle is
     # the physical spin of its edge. Carried from elsewhere they would.
     scene = replace(state.scene, initial=state.state)
     velocity = rates(scene, state.symmetry, q, state.motion, state.motor_rate)
-    acceleration = rotating_acceleration(scene, state.motion, velocity)
-    return imbalance(scene, q, velocity + extra, acceleration)
+    turning = rotating_acceleration(scene, state.motion, velocity)
+    coriolis = 2.0 * rotating_acceleration(scene, state.motion, rate)
+    n = 3 * scene.rod.topology.n_nodes
+    of_nodes = jnp.where(np.arange(q.size) < n, acceleration, 0.0)
+    return imbalance(scene, q, velocity + rate, turning + coriolis + of_nodes)
 
 
 @jax.jit
@@ -111,9 +124,11 @@ def linearisation(state: Steady) -> Linearisation:
     """The matrices of small displacements from a steady state."""
     q, still = state.state.q, jnp.zeros_like(state.state.q)
     free = state.scene.rod.topology.free_dofs
-    by_shape = jacobian(lambda x: _imbalance_by(state, x, still), q)
-    by_rate = jacobian(lambda v: _imbalance_by(state, q, v), still)
-    return Linearisation(by_shape[free][:, free], by_rate[free][:, free])
+    by_shape = jacobian(lambda x: _imbalance_by(state, x, still, still), q)
+    by_rate = jacobian(lambda v: _imbalance_by(state, q, v, still), still)
+    by_acceleration = jacobian(lambda a: _imbalance_by(state, q, still, a), still)
+    every = (by_shape, by_rate, by_acceleration)
+    return Linearisation(*(matrix[free][:, free] for matrix in every))
 
 
 def stability(state: Steady) -> Stability:
@@ -122,24 +137,21 @@ def stability(state: Steady) -> Stability:
     Raises:
         SolverError: the state is not one, or its rigid motions are not found among the modes.
     """
-    import scipy.linalg  # here, for importing derjax to stay quick
-
     state.raise_if_failed()
-    matrices = linearisation(state)
-    stiffness, drag = np.asarray(matrices.stiffness), np.asarray(matrices.drag)
     topology = state.scene.rod.topology
     scale = np.broadcast_to(state.scene.newton.force_scale, (topology.n_dofs,))
     unit = scale[topology.free_dofs]
-    stiffness, drag = stiffness / unit[:, None], drag / unit[:, None]
-    moving = np.any(drag, axis=0) | np.any(drag, axis=1)
-    follow = _Followers(stiffness, moving)
-    found: Any = scipy.linalg.eig(
-        -follow.condensed(), drag[np.ix_(moving, moving)], True, True, homogeneous_eigvals=True
+    matrices = linearisation(state)
+    stiffness, drag, mass = (
+        np.asarray(matrix) / unit[:, None]
+        for matrix in (matrices.stiffness, matrices.drag, matrices.mass)
     )
-    (alpha, beta), left, right = found
-    left, right = follow.left(left), follow.right(right)
+    moving = np.any(drag, axis=0) | np.any(drag, axis=1) | np.any(mass, axis=1)
+    follow, among = _Followers(stiffness, moving), np.ix_(moving, moving)
     turning = float(jnp.linalg.norm(state.motion.rotation))
     pace = max(turning, abs(float(state.motor_rate)))
+    alpha, beta, left, right = _modes(follow.condensed(), drag[among], mass[among], pace or 1.0)
+    left, right = follow.left(left), follow.right(right)
     if pace == 0.0:  # nothing turns: the slowest mode says what is fast
         pace = np.min(np.abs(alpha[beta != 0.0] / beta[beta != 0.0]))
     finite = np.abs(alpha) < INFINITE * pace * np.abs(beta)
@@ -155,6 +167,34 @@ def stability(state: Steady) -> Stability:
 
     # The left eigenvectors were those of rows in the solver's units.
     return Stability(state, values[order], whole(right), whole(left / unit[:, None]), error)
+
+
+def _modes(
+    stiffness: np.ndarray, drag: np.ndarray, mass: np.ndarray, pace: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Eigenvalues (1/s) as alpha / beta, and left and right eigenvectors in columns.
+
+    Args:
+        stiffness: (m, m) J.
+        drag: (m, m) D.
+        mass: (m, m) M.
+        pace: 1/s, about as fast as motions are: what displacements change at counts over it.
+    """
+    import scipy.linalg  # here, for importing derjax to stay quick
+
+    if not np.any(mass):
+        a, b = -stiffness, drag
+    else:
+        one, none = np.eye(len(drag)), np.zeros_like(drag)
+        a = np.block([[none, one], [-stiffness, -pace * drag]])
+        b = np.block([[one, none], [none, pace**2 * mass]])
+    found: Any = scipy.linalg.eig(a, b, True, True, homogeneous_eigvals=True)
+    (alpha, beta), left, right = found
+    if not np.any(mass):
+        return alpha, beta, left, right
+    # Displacements come first; forces that nothing does work on, the left eigenvectors, last.
+    count = len(drag)
+    return pace * alpha, beta, left[count:], right[:count]
 
 
 class _Followers:
@@ -234,24 +274,27 @@ def eigenvalue(scene: Scene, known: Mode) -> Array:
     """The eigenvalue (1/s, complex) of a mode, as a function of the numbers of the scene.
 
     Right at the scene for which the mode is known, and so is its first derivative: perturbation
-    theory, `w (dJ + lambda dD) xi / (w D xi)`, with the change of the steady state in it.
+    theory, `w (dJ + lambda dD + lambda^2 dM) xi / (w (D + 2 lambda M) xi)`, with the change of the
+    steady state in it.
 
     Args:
         scene: with the same numbers as `known.state.scene`, which JAX may trace.
         known: the mode at these numbers.
     """
     value, xi, w = lax.stop_gradient((known.eigenvalue, known.right, known.left.conj()))
-    state = steady(scene, guess=lax.stop_gradient(known.state))
+    state = again(scene, known.state)
     q, still = state.state.q, jnp.zeros_like(state.state.q)
 
-    def along(direction: Array) -> tuple[Array, Array]:
-        _, by_shape = jax.jvp(lambda x: _imbalance_by(state, x, still), (q,), (direction,))
-        _, by_rate = jax.jvp(lambda v: _imbalance_by(state, q, v), (still,), (direction,))
-        return by_shape, by_rate
+    def pushed(by: Callable[[Array], Array], at: Array, way: Array) -> Array:
+        """What a complex displacement, rate or acceleration makes of the imbalance."""
+        real, imaginary = (jax.jvp(by, (at,), (part,))[1] for part in (way.real, way.imag))
+        return real + 1j * imaginary
 
-    real, imaginary = along(xi.real), along(xi.imag)
-    by_shape, by_rate = (a + 1j * b for a, b in zip(real, imaginary, strict=True))
-    return value - (w @ (by_shape + value * by_rate)) / lax.stop_gradient(w @ by_rate)
+    by_shape = pushed(lambda x: _imbalance_by(state, x, still, still), q, xi)
+    by_rate = pushed(lambda v: _imbalance_by(state, q, v, still), still, xi)
+    by_acceleration = pushed(lambda a: _imbalance_by(state, q, still, a), still, xi)
+    left = w @ (by_shape + value * by_rate + value**2 * by_acceleration)
+    return value - left / lax.stop_gradient(w @ (by_rate + 2.0 * value * by_acceleration))
 
 
 def growth_slopes(known: Stability, names: Sequence[str], mode: int = 0) -> dict[str, float]:
