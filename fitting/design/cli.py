@@ -134,7 +134,7 @@ def _draw(
         with output.replacing(name) as temporary:
             figure.savefig(temporary, format="png")
     paths = [output.path / name for name in drawn]
-    if file.film and not stopping():
+    if file.film and file.problem.through != "rest" and not stopping():
         printer.say("filming ...")
         with output.replacing(FILM) as temporary:
             figures.film(design).film(temporary)

@@ -35,10 +35,10 @@ from derjax.rods.rod import State
 from derjax.steady.solve import again
 from derjax.steady.stability import growth_slopes
 
-from .motion import RunMotion, SteadyMotion
+from .motion import Rest, RunMotion, SteadyMotion
 from .quantities import Quantity
 
-Through = Literal["steady", "run"]
+Through = Literal["steady", "run", "rest"]
 Numbers = Mapping[str, Any]
 """Parameters of a scene by name: single numbers, or arrays."""
 
@@ -71,6 +71,35 @@ class Evaluator(Protocol):
     """Finds the quantities of a scene with some of its numbers replaced."""
 
     def __call__(self, numbers: Numbers) -> Evaluation: ...
+
+
+class ThroughRest:
+    """Quantities of robots that do not move, such as their resistance in the fluid."""
+
+    def __init__(self, scene: Scene, quantities: Sequence[Quantity]) -> None:
+        self.scene, self.quantities = scene, quantities
+
+    def __call__(self, numbers: Numbers) -> Evaluation:
+        functions = tuple(q.function for q in self.quantities)
+        try:
+            self.scene.replace(**numbers)  # tells numbers that cannot be
+            found = _rest_slopes(functions, self.scene, _arrays(numbers))
+        except InputError as error:
+            return _failed(error)
+        return _evaluation([q.name for q in self.quantities], numbers, *found)
+
+
+@partial(jax.jit, static_argnums=0)
+def _rest_slopes(
+    functions: tuple[Callable[[Any], Array], ...], scene: Scene, numbers: dict[str, Array]
+) -> tuple[Float[Array, " q"], dict[str, Array]]:
+    def of(numbers: dict[str, Array]) -> tuple[Array, Array]:
+        rest = Rest(scene.replace(**numbers))
+        values = jnp.stack([function(rest) for function in functions])
+        return values, values
+
+    slopes, values = jax.jacfwd(of, has_aux=True)(numbers)
+    return values, slopes
 
 
 class ThroughSteady:

@@ -27,6 +27,7 @@ from derjax.scenes.load import read_toml
 from derjax.scenes.messages import check
 from derjax.scenes.motortable import RateTable
 
+from .evaluate import Through
 from .outcome import Bounds, Objective, problem_of
 from .problem import Problem
 from .quantities import from_file
@@ -106,7 +107,7 @@ class DesignTable(Table):
     """What a design file holds."""
 
     scene: str
-    through: Literal["steady", "run"] | None = None
+    through: Through | None = None
     begin: NonNegative = 0.0
     vary: Annotated[dict[str, Range], Field(min_length=1)]
     objective: ObjectiveTable
@@ -137,7 +138,7 @@ class DesignFile:
     content: dict
 
 
-STEADY_LANDSCAPE, RUN_LANDSCAPE = 21, 0
+LANDSCAPE, RUN_LANDSCAPE = 21, 0
 """Points along each variable unless the file says how many: runs take long."""
 
 
@@ -162,8 +163,8 @@ def load_design(path: str | Path) -> DesignFile:
 
 def _understood(path: Path, table: DesignTable, file: SceneFile) -> DesignFile:
     through = table.through or ("steady" if file.robot.count == 1 and _constant(file) else "run")
-    if table.begin and through == "steady":
-        warnings.warn(f"{path}: begin has no effect through steady states", InputWarning, 2)
+    if table.begin and through != "run":
+        warnings.warn(f"{path}: begin is for through = 'run': no effect", InputWarning, 2)
     folder = path.parent
     uncertain, fitted = _uncertain(table.uncertain, file, folder)
     scene = build(file, fitted)
@@ -188,7 +189,7 @@ def _understood(path: Path, table: DesignTable, file: SceneFile) -> DesignFile:
         uncertain,
     )
     search = table.search
-    usual = STEADY_LANDSCAPE if through == "steady" else RUN_LANDSCAPE
+    usual = RUN_LANDSCAPE if through == "run" else LANDSCAPE
     content = {
         "scene": file.model_dump(mode="json"),
         "design": table.model_dump(mode="json", exclude={"output"}),

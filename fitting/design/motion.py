@@ -50,6 +50,22 @@ class Motion(Protocol):
 
 
 @pytree
+class Rest:
+    """A robot that does not move: only its shape counts, and what follows from that.
+
+    Attributes:
+        scene: of the robot.
+    """
+
+    scene: Scene
+
+    @property
+    def given(self) -> Scene:
+        """What a function of one's own is given."""
+        return self.scene
+
+
+@pytree
 class SteadyMotion:
     """A steady state as a `Motion`.
 
@@ -58,6 +74,11 @@ class SteadyMotion:
     """
 
     state: Steady
+
+    @property
+    def given(self) -> Steady:
+        """What a function of one's own is given."""
+        return self.state
 
     @property
     def scene(self) -> Scene:
@@ -101,6 +122,11 @@ class RunMotion:
 
     run: Run
     first: int = static()
+
+    @property
+    def given(self) -> Run:
+        """What a function of one's own is given."""
+        return self.run
 
     @property
     def scene(self) -> Scene:

@@ -99,7 +99,7 @@ class Design:
 
 
 Objective = str | Quantity | Callable[[Any], Any]
-"""A quantity by its name, or a function of a `derjax.Steady` or `derjax.Run`."""
+"""A quantity by its name, or a function of a `derjax.Steady`, `Run` or, at rest, `Scene`."""
 
 Bounds = tuple[float | None, float | None]
 
@@ -129,8 +129,8 @@ def design(
         maximise: the objective; or
         minimise: the objective.
         limits: (low, high) of quantities, None for no bound, as `{"torque": (None, 2e-3)}`.
-        through: "steady", for robots with one flagellum, or "run": from the scene's start to its
-            end, through contact and all else.
+        through: "steady", for robots with one flagellum; "run": from the scene's start to its
+            end, through contact and all else; or "rest", where nothing moves.
         begin: s, from which on means over a run are taken.
         direction: of objectives that have one.
         at: "torque" or "power", and its value, that the motor has whatever the design; its rate

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from derjax import InputError, Scene
 
-from .evaluate import Evaluation, Evaluator, Through, ThroughRun, ThroughSteady
+from .evaluate import Evaluation, Evaluator, Through, ThroughRest, ThroughRun, ThroughSteady
 from .quantities import Quantity
 from .uncertain import Uncertain
 from .variables import Variables, Vector
@@ -24,6 +24,14 @@ KEPT = 1e-6
 
 NO_EFFECT = 1e-13
 """A variable that changes nothing by more than this part over its whole range has no effect."""
+
+
+KNOWN: dict[Through, tuple[str, ...]] = {
+    "steady": ("own", "shape", "motion", "eigenvalue"),
+    "run": ("own", "shape", "motion", "run"),
+    "rest": ("own", "shape"),
+}
+"""Kinds of quantities that are known through each."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +100,7 @@ class Problem:
         objective: what is to be good.
         sign: 1.0 if large is good, -1.0 if small is.
         limits: what must be kept to.
-        through: steady states, or runs in time.
+        through: steady states, runs in time, or the shape at rest.
         begin: s, from which on means over a run are taken.
         held: what the motor is held at; None for the rate that it has.
         uncertain: parameters that are known with an uncertainty. Limits are kept to at all their
@@ -125,11 +133,13 @@ class Problem:
                     f"at {self.held.quantity.name}: needs one rate for all motors, not zero, to "
                     "start from ([motor] rpm)"
                 )
-        wrong = {"steady": "run", "run": "eigenvalue"}[self.through]
         for quantity in self.quantities:
-            if quantity.kind == wrong:
-                other = "steady" if wrong == "eigenvalue" else "run"
-                raise InputError(f"{quantity.name}: is known with through = {other!r} only")
+            if quantity.kind not in KNOWN[self.through]:
+                others = [way for way, kinds in KNOWN.items() if quantity.kind in kinds]
+                raise InputError(
+                    f"{quantity.name}: is not known with through = {self.through!r}, but with "
+                    f"{' and '.join(map(repr, others))}"
+                )
 
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:
@@ -140,10 +150,12 @@ class Problem:
 
     def evaluator(self) -> Evaluator:
         """What finds the quantities of a design."""
-        if self.through == "steady":
-            found: Evaluator = ThroughSteady(self.scene, self.quantities)
-        else:
-            found = ThroughRun(self.scene, self.quantities, self.begin)
+        ways: dict[Through, Callable[[], Evaluator]] = {
+            "steady": lambda: ThroughSteady(self.scene, self.quantities),
+            "run": lambda: ThroughRun(self.scene, self.quantities, self.begin),
+            "rest": lambda: ThroughRest(self.scene, self.quantities),
+        }
+        found = ways[self.through]()
         return found if self.held is None else _AtHeld(found, self.held, self.scene)
 
 

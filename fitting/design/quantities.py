@@ -20,9 +20,9 @@ from derjax import HeadDrag, InputError, Scene, positions
 from derjax.results.bundling import closeness
 from derjax.rods.head import head_axis
 
-from .motion import Motion, RunMotion, SteadyMotion, size
+from .motion import Motion, Rest, RunMotion, SteadyMotion, size
 
-Kind = Literal["motion", "run", "eigenvalue"]
+Kind = Literal["own", "shape", "motion", "run", "eigenvalue"]
 Direction = tuple[float, float, float]
 
 
@@ -34,7 +34,8 @@ class Quantity:
         name: as in files.
         unit: as text, "1" for pure numbers.
         meaning: in a few words.
-        kind: what it is made of: any motion, a run in time, or eigenvalues of a steady state.
+        kind: what it is made of: the shape at rest, any motion, a run in time, eigenvalues of a
+            steady state; or a function of one's own.
         function: of a `Motion`; None for eigenvalues.
         needs: what the robot must have; see `NEEDS`.
     """
@@ -95,24 +96,24 @@ def _unit(direction: Direction) -> Array:
     return jnp.asarray(direction) / np.linalg.norm(direction)
 
 
-def _contour_length(motion: Motion) -> Array:
+def _contour_length(motion: Motion | Rest) -> Array:
     rod = motion.scene.rod
     return jnp.sum(rod.rest_length[rod.topology.edge_filaments >= 0])
 
 
-def _mass(motion: Motion) -> Array:
+def _mass(motion: Motion | Rest) -> Array:
     numbers = motion.scene.parameters
     return numbers["density"] * jnp.pi * numbers["rod_radius"] ** 2 * _contour_length(motion)
 
 
-def _total_length(motion: Motion) -> Array:
+def _total_length(motion: Motion | Rest) -> Array:
     scene = motion.scene
     x = positions(scene.rod.topology, scene.start.q)[:, 0]
     head = scene.parameters.get("head_radius", jnp.zeros(()))
     return jnp.max(x) - jnp.min(x) + head
 
 
-def _turn_gap(motion: Motion) -> Array:
+def _turn_gap(motion: Motion | Rest) -> Array:
     numbers = motion.scene.parameters
     around, pitch = 2 * jnp.pi * numbers["helix_radius"], numbers["pitch"]
     return jnp.min(pitch * around / jnp.hypot(around, pitch)) - 2.0 * numbers["rod_radius"]
@@ -152,14 +153,14 @@ QUANTITIES: dict[str, Quantity] = {
             _paper_efficiency,
             HEAD,
         ),
-        Quantity("contour_length", "m", "of all flagella", "motion", _contour_length),
-        Quantity("mass", "kg", "of all flagella", "motion", _mass, ("density",)),
-        Quantity("total_length", "m", "of the robot at rest", "motion", _total_length),
+        Quantity("contour_length", "m", "of all flagella", "shape", _contour_length),
+        Quantity("mass", "kg", "of all flagella", "shape", _mass, ("density",)),
+        Quantity("total_length", "m", "of the robot at rest", "shape", _total_length),
         Quantity(
             "turn_gap",
             "m",
             "between the surfaces of neighbouring turns of a helix at rest",
-            "motion",
+            "shape",
             _turn_gap,
             ("helix",),
         ),
@@ -245,12 +246,11 @@ def named(name: str, scene: Scene, direction: Direction | None = None) -> Quanti
 
 
 def from_function(function: Callable[[Any], Any], name: str) -> Quantity:
-    """The quantity that a function of a `derjax.Steady`, or of a `derjax.Run`, returns."""
+    """The quantity that a function of a `derjax.Steady`, `Run` or `Scene` returns."""
 
-    def of_motion(motion: SteadyMotion | RunMotion) -> Array:
-        given = motion.state if isinstance(motion, SteadyMotion) else motion.run
+    def of_motion(motion: SteadyMotion | RunMotion | Rest) -> Array:
         try:
-            found = jnp.asarray(function(given))
+            found = jnp.asarray(function(motion.given))
         except jax.errors.JAXTypeError as error:
             raise InputError(
                 f"{name}: is not differentiable as it stands: it needs the value of a number that "
@@ -262,7 +262,7 @@ def from_function(function: Callable[[Any], Any], name: str) -> Quantity:
             raise InputError(f"{name}: must return one number, not an array of {found.shape}")
         return found.astype(float)
 
-    return Quantity(name, "1", "a function of one's own", "motion", of_motion)
+    return Quantity(name, "1", "a function of one's own", "own", of_motion)
 
 
 def from_file(text: str, folder: Path) -> Quantity:
