@@ -80,12 +80,10 @@ class ThroughRest:
         self.scene, self.quantities = scene, quantities
 
     def __call__(self, numbers: Numbers) -> Evaluation:
+        if wrong := _cannot_be(self.scene, numbers):
+            return wrong
         functions = tuple(q.function for q in self.quantities)
-        try:
-            self.scene.replace(**numbers)  # tells numbers that cannot be
-            found = _rest_slopes(functions, self.scene, _arrays(numbers))
-        except InputError as error:
-            return _failed(error)
+        found = _rest_slopes(functions, self.scene, _arrays(numbers))
         return _evaluation([q.name for q in self.quantities], numbers, *found)
 
 
@@ -127,17 +125,19 @@ class ThroughSteady:
         return found
 
     def __call__(self, numbers: Numbers) -> Evaluation:
+        if wrong := _cannot_be(self.scene, numbers):
+            return wrong
+        functions = tuple(q.function for q in self.of_motion)
         try:
             state = self.state(numbers)
             state.raise_if_failed()
-            functions = tuple(q.function for q in self.of_motion)
             found = _steady_slopes(functions, state, _arrays(numbers))
             evaluation = _evaluation([q.name for q in self.of_motion], numbers, *found)
-            for name in self.eigenvalues:
+            for name in self.eigenvalues if evaluation.ok else ():
                 value, slopes = self._eigenvalue(name, state, list(numbers))
                 evaluation.values[name] = value
                 evaluation.slopes[name] = {k: np.asarray(v) for k, v in slopes.items()}
-        except (SolverError, InputError) as error:
+        except SolverError as error:
             return _failed(error)
         return evaluation
 
@@ -203,21 +203,17 @@ class ThroughRun:
             self.enlargements += 1
 
     def __call__(self, numbers: Numbers) -> Evaluation:
+        if wrong := _cannot_be(self.scene, numbers):
+            return wrong
         functions = tuple(q.function for q in self.quantities)
-        try:
-            # Numbers that cannot be are told here, as they are not known while JAX traces them.
-            self.scene.replace(**numbers)
-            while True:
-                division = self.frames, self.steps, self.first, self.enlargements
-                values, slopes, stats = _run_slopes(
-                    functions, division, self.scene, _arrays(numbers)
-                )
-                if stats.status != Status.CAPACITY:
-                    break
-                self.enlargements += 1
-            stats.raise_if_failed()
-        except (SolverError, InputError) as error:
-            return _failed(error)
+        while True:
+            division = self.frames, self.steps, self.first, self.enlargements
+            values, slopes, stats = _run_slopes(functions, division, self.scene, _arrays(numbers))
+            if stats.status != Status.CAPACITY:
+                break
+            self.enlargements += 1
+        if not stats.ok:
+            return Evaluation({}, {}, stats.message())
         return _evaluation([q.name for q in self.quantities], numbers, values, slopes)
 
 
@@ -283,6 +279,15 @@ def _evaluation(
             if not np.all(np.isfinite(slope)):
                 return Evaluation({}, {}, f"the derivative of {name} by {number} is not finite")
     return Evaluation(found, by_name)
+
+
+def _cannot_be(scene: Scene, numbers: Numbers) -> Evaluation | None:
+    """Why there is no robot with these numbers, which are not known while JAX traces them."""
+    try:
+        scene.replace(**numbers)
+    except InputError as error:
+        return _failed(error)
+    return None
 
 
 def _failed(error: Exception) -> Evaluation:

@@ -74,7 +74,7 @@ class SearchTable(Table):
     method: Method = "slsqp"
     starts: Count = 4
     iterations: Count = 60
-    tolerance: Positive = 1e-9
+    tolerance: Positive = 1e-8
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
 
 

@@ -45,7 +45,7 @@ class Search:
     method: Method = "slsqp"
     starts: int = 4
     most: int = 60
-    tolerance: float = 1e-9
+    tolerance: float = 1e-8
     seed: int = 0
 
 
