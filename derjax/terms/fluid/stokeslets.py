@@ -26,8 +26,8 @@ from .domain import FREE_SPACE, Domain
 
 def _by_node(starts: Float[Array, "*b s"], ends: Float[Array, "*b s"]) -> Float[Array, "*b n"]:
     """Sums over the segments of a filament what belongs to the nodes they start and end at."""
-    rest = ((0, 0),) * (starts.ndim - 1)
-    return jnp.pad(starts, (*rest, (0, 1))) + jnp.pad(ends, (*rest, (1, 0)))
+    inner = starts[..., 1:] + ends[..., :-1]
+    return jnp.concatenate([starts[..., :1], inner, ends[..., -1:]], axis=-1)
 
 
 def mobility(
