@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from ...core.pytree import Indices, jvp_nonzero, pytree, replace, static
 from ...rods.kinematics import positions
 from ...rods.rod import Rod, State
-from ...solve.potential import Quadratic
+from ...solve.contributions import Quadratic
 from ..term import Prediction, Role, Stage, Term
 from .domain import FREE_SPACE, Domain
 
