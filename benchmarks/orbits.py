@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 
 import derjax as dj
-from derjax.steady.orbit import fitted
+from derjax.steady.turn import fitted
 
 from .command import command_line
 from .tables import write

@@ -22,7 +22,7 @@ import pandas as pd
 
 import derjax as dj
 from derjax.core.pytree import replace
-from derjax.steady.orbit import fitted
+from derjax.steady.turn import fitted
 
 from .buckling import robot
 from .command import command_line
