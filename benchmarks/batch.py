@@ -12,7 +12,6 @@ Last, what a user sees who has 32 scene files: one command `derjax simulate` for
 for every single run. Writes batch.csv, .md and .png.
 """
 
-import argparse
 import json
 import os
 import subprocess
@@ -28,10 +27,10 @@ import numpy as np
 import pandas as pd
 
 import derjax
-from derjax.core.runtime import enable_compilation_cache
 from derjax.runs.batch import ALL, advance, build_many, processors, shard, use_all_processors
 from derjax.scenes.file import SceneFile
 
+from .command import command_line
 from .tables import write
 
 RUNS = 32
@@ -169,13 +168,11 @@ def figure(table: pd.DataFrame) -> plt.Figure:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
+    parser = command_line(__doc__)
     parser.add_argument("--end", type=float, default=4.0, help="simulated seconds of a run")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--rows", action="store_true", help="only print rows, for this process")
     arguments = parser.parse_args()
-    enable_compilation_cache()
     use_all_processors()
     if arguments.rows:
         print(json.dumps(measure(arguments.end, arguments.rounds)))

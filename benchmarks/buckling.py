@@ -20,7 +20,6 @@ Thresholds of the paper: Lim, Yadunandan & Jawed, Soft Matter 19, 2254, 2023. Wr
 buckling.csv (one row for each run), buckling.png and buckling.md (brackets).
 """
 
-import argparse
 import math
 import textwrap
 from collections.abc import Callable, Iterable
@@ -38,6 +37,7 @@ import derjax
 from derjax import RolloutStats, Scene, SceneFile, State
 from derjax.integrate.frames import new_stats
 
+from .command import command_line
 from .parallel import in_parallel
 
 PITCHES = (5, 7, 9)
@@ -366,15 +366,13 @@ def _bars(axis, found: dict[tuple[str, int], Bracket]) -> None:
 
 def write(table: pd.DataFrame, directory: Path) -> None:
     """buckling.csv, .md and .png."""
-    directory.mkdir(parents=True, exist_ok=True)
     table.to_csv(directory / "buckling.csv", index=False, float_format="%.6g")
     (directory / "buckling.md").write_text(markdown(table), encoding="utf-8")
     figure(table, directory / "buckling.png")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
+    parser = command_line(__doc__)
     parser.add_argument("--only", nargs="+", choices=list(VARIANTS), default=list(VARIANTS))
     parser.add_argument("--workers", type=int, default=1, help="processes")
     parser.add_argument("--redraw", action="store_true", help="from buckling.csv, no simulation")

@@ -11,7 +11,6 @@ simulate`; runs that are there already are not made again. Writes
   19, 2254, 2023) report.
 """
 
-import argparse
 import json
 from pathlib import Path
 
@@ -22,6 +21,8 @@ import xarray as xr
 
 from derjax.runs.simulation import SUMMARY, TRAJECTORY, Options, simulate
 from derjax.scenes.file import SceneFile
+
+from .command import command_line
 
 RADIUS = 6.36e-3
 """m, in which the paper counts pitches."""
@@ -172,14 +173,12 @@ def markdown(table: pd.DataFrame) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
+    parser = command_line(__doc__)
     parser.add_argument("--runs", type=Path, default=Path("runs/bundling"))
     parser.add_argument("--end", type=float, default=60.0)
     parser.add_argument("--step", type=float, default=1e-2)
     parser.add_argument("--rpm", type=int, nargs="+", default=list(RATES))
     args = parser.parse_args()
-    args.output.mkdir(parents=True, exist_ok=True)
     rows, curves = [], []
     for rpm in args.rpm:
         for ratio in RATIOS:

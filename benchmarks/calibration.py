@@ -11,7 +11,6 @@ say nothing.
 A run that is stopped goes on where it was: only what the table lacks is computed.
 """
 
-import argparse
 import csv
 import itertools
 import time
@@ -23,7 +22,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from derjax import SceneFile
-from derjax.core.runtime import enable_compilation_cache
 from derjax.io.files import atomic_path
 from fitting.calibrate import calibrate
 from fitting.model import Model
@@ -32,7 +30,8 @@ from fitting.outcome import Fit
 from fitting.tracks import Dataset, Run
 from fitting.transforms import select_parameters
 
-FIGURES = Path(__file__).parent.parent / "docs" / "figures"
+from .command import command_line
+
 TRUTH = {"C_t": 4.0, "C_r": 0.45}
 NAMES = tuple(TRUTH)
 CHANNELS = {"x": (0,), "x, y": (0, 1), "x, y, z": (0, 1, 2), "angle": (3,), "all": (0, 1, 2, 3)}
@@ -272,13 +271,11 @@ def figure(rows: list[dict[str, str]]) -> Figure:
 
 def main() -> None:
     """Run what of the grid is missing in the table, and draw the figure."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = command_line(__doc__)
     parser.add_argument("--quick", action="store_true", help="few starts, one seed and frame rate")
     parser.add_argument("--only", choices=tuple(SCENES), help="robots with so many flagella")
     parser.add_argument("--figure", action="store_true", help="draw what there is, run nothing")
-    parser.add_argument("-o", "--output", type=Path, default=FIGURES)
     args = parser.parse_args()
-    enable_compilation_cache()
     path = args.output / "calibration.csv"
     rows = read(path)
     if not args.figure:

@@ -8,9 +8,7 @@ without contact, alternately, on the processor time of one process. Writes conta
 contact_cost.md.
 """
 
-import argparse
 import time
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -18,6 +16,9 @@ import pandas as pd
 
 import derjax
 from derjax.scenes.file import SceneFile
+
+from .command import command_line
+from .tables import write
 
 STEPS, ROUNDS, BUNDLED = 40, 7, 10.0
 VARIANTS = {
@@ -56,9 +57,7 @@ def seconds(built: derjax.Scene, state: derjax.State) -> tuple[float, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
-    arguments = parser.parse_args()
+    arguments = command_line(__doc__).parse_args()
     scenes = {name: derjax.build(scene(**tables)) for name, tables in VARIANTS.items()}
     states = {"nothing touches": scenes["contact"].start, "bundle": bundled()}
     rows = []
@@ -82,17 +81,9 @@ def main() -> None:
                 }
             )
             print(rows[-1], flush=True)
-    table = pd.DataFrame(rows)
-    arguments.output.mkdir(parents=True, exist_ok=True)
-    table.to_csv(arguments.output / "contact_cost.csv", index=False, float_format="%.4g")
-    lines = ["| state | scene | ms per step | relative | iterations per step |"]
-    lines += ["|---|---|---|---|---|"]
-    lines += [
-        f"| {r['state']} | {r['scene']} | {r['ms per step']:.2f} | {r['relative']:.2f} "
-        f"| {r['iterations per step']:.2f} |"
-        for r in rows
-    ]
-    (arguments.output / "contact_cost.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    formats = {"state": "", "scene": "", "ms per step": ".2f", "relative": ".2f"}
+    formats["iterations per step"] = ".2f"
+    write(pd.DataFrame(rows), arguments.output / "contact_cost.csv", formats)
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ camera noise a hundred times (`fitting.uncertainty.coverage`):
     python -m benchmarks.coverage
 """
 
+import argparse
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,6 +26,7 @@ SEEDS = range(100)
 
 def main() -> None:
     """Print how often each interval contains the truth, and how wide it is."""
+    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
     dataset = load_dataset(DATASET)
     parameters = select_parameters(tuple(TRUTH), dataset.scene.parameters)
     model = Model(dataset, parameters)

@@ -7,7 +7,6 @@ data/reference and compares speed and head rate over the last 20 s, the distance
 tail, and (at 70 rpm) the positions of all nodes at 10 s. Writes cross_code.csv, .md and .png.
 """
 
-import argparse
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,6 +17,8 @@ import pandas as pd
 
 import derjax
 from derjax.scenes.file import SceneFile
+
+from .command import command_line
 
 DATA = Path(__file__).parent.parent / "data" / "reference"
 RATES = (30, 70, 100)
@@ -136,8 +137,7 @@ def compare(rpm: int, ours: Track, since: float = 20.0) -> dict[str, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
+    parser = command_line(__doc__)
     parser.add_argument("--only", nargs="+", choices=list(VARIANTS), default=list(VARIANTS))
     arguments = parser.parse_args()
     rows = []
@@ -151,7 +151,6 @@ def main() -> None:
             rows.append({"variant": name, **row})
             print({k: f"{v:+.4%}" if isinstance(v, float) else v for k, v in rows[-1].items()})
     table = pd.DataFrame(rows)
-    arguments.output.mkdir(parents=True, exist_ok=True)
     table.to_csv(arguments.output / "cross_code.csv", index=False)
     (arguments.output / "cross_code.md").write_text(markdown(table), encoding="utf-8")
     figure(table).savefig(arguments.output / "cross_code.png", dpi=150)

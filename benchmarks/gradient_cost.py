@@ -9,10 +9,8 @@ besides its arguments and results. The longest runs are timed once, and only in 
 Writes gradient_cost.csv, .md and .png.
 """
 
-import argparse
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -20,9 +18,9 @@ import matplotlib.pyplot as plt
 import pandas as pd
 
 import derjax
-from derjax.core.runtime import enable_compilation_cache
 from derjax.scenes.file import SceneFile
 
+from .command import command_line
 from .tables import write
 
 STEP = 0.02
@@ -122,11 +120,9 @@ def figure(table: pd.DataFrame) -> plt.Figure:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
+    parser = command_line(__doc__)
     parser.add_argument("--longest", type=int, default=max(LENGTHS), help="steps")
     arguments = parser.parse_args()
-    enable_compilation_cache()
     rows = [row for n in LENGTHS if n <= arguments.longest for row in measure(n)]
     table = pd.DataFrame(rows)
     formats = {"steps": "d", "mode": "", "ms_per_step": ".3g", "relative": ".2f"}

@@ -10,10 +10,8 @@ that JAX traces, of instructions that are left in the optimised program, and for
 compile it and of memory. Writes ingredients.csv, .md and .png.
 """
 
-import argparse
 import re
 import time
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -25,6 +23,7 @@ import derjax
 from derjax.integrate.frames import march_frames, new_stats
 from derjax.scenes.file import SceneFile
 
+from .command import command_line
 from .tables import write
 
 STEP, START = 0.02, 2.0
@@ -158,8 +157,7 @@ def figure(table: pd.DataFrame) -> plt.Figure:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
+    parser = command_line(__doc__, cache=False)
     parser.add_argument("--steps", type=int, default=100, help="that are timed")
     arguments = parser.parse_args()
     table = measure(arguments.steps)

@@ -13,9 +13,7 @@ position with central differences of the same run, whose steps are 1e-7 and 1e-5
 Writes lyapunov.csv, lyapunov.md and lyapunov.png.
 """
 
-import argparse
 from functools import partial
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +24,8 @@ import pandas as pd
 import derjax
 from derjax.runs.progress import Progress
 from derjax.scenes.file import SceneFile
+
+from .command import command_line
 
 PITCH, STEP, STEPS = 31.8e-3, 5e-3, 20
 DIFFERENCES = (1e-9, 1e-7, 1e-5)
@@ -132,12 +132,10 @@ def draw(table: pd.DataFrame) -> plt.Figure:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
+    parser = command_line(__doc__)
     parser.add_argument("--end", type=float, default=24.0)
     arguments = parser.parse_args()
     table = follow(arguments.end)
-    arguments.output.mkdir(parents=True, exist_ok=True)
     table.to_csv(arguments.output / "lyapunov.csv", index=False, float_format="%.5g")
     growth = exponent(table)
     lines = ["| what | figure |", "|---|---|"]

@@ -12,10 +12,8 @@ steps adapt, with TR-BDF2 at a tolerance with which it is as accurate as implici
 2 ms. Processor time of one core. Writes many_flagella.csv, .md and .png.
 """
 
-import argparse
 import time
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -25,7 +23,6 @@ import pandas as pd
 
 import derjax
 from derjax import RolloutStats, Scene, State
-from derjax.core.runtime import enable_compilation_cache
 from derjax.core.status import Status
 from derjax.integrate.frames import new_stats
 from derjax.integrate.step import enlarge
@@ -33,6 +30,7 @@ from derjax.results.bundling import contact_forces
 from derjax.scenes.file import SceneFile
 from derjax.terms.contact.repulsion import Contact
 
+from .command import command_line
 from .tables import write
 
 PUBLISHED = {2: 10.2, 3: 21.3, 5: 67.5, 10: 389.0}
@@ -165,12 +163,10 @@ def figure(table: pd.DataFrame) -> plt.Figure:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
+    parser = command_line(__doc__)
     parser.add_argument("--flagella", type=int, nargs="+", default=list(PUBLISHED))
     parser.add_argument("--end", type=float, default=20.0, help="s")
     arguments = parser.parse_args()
-    enable_compilation_cache()
     table = pd.DataFrame([row for n in arguments.flagella for row in measure(n, arguments.end)])
     rows = []
     for n, part in table.groupby("flagella"):
@@ -190,7 +186,6 @@ def main() -> None:
             }
         )
         rows[-1]["faster"] = rows[-1]["published"] / rows[-1]["mean"]
-    arguments.output.mkdir(parents=True, exist_ok=True)
     table.to_csv(arguments.output / "many_flagella_frames.csv", index=False, float_format="%.6g")
     formats = {
         "flagella": "d",

@@ -20,7 +20,6 @@ the other rows of onset.csv stay. Thresholds of the paper: Lim, Yadunandan & Jaw
 2254, 2023.
 """
 
-import argparse
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -35,6 +34,7 @@ from derjax.core.pytree import replace
 from derjax.integrate.motor import Motor
 
 from .buckling import BUCKLED_BELOW, COLOURS, PAPER, omega_bar, robot
+from .command import command_line
 from .parallel import in_parallel
 from .tables import markdown
 
@@ -252,8 +252,7 @@ def figure(table: pd.DataFrame, path: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
+    parser = command_line(__doc__)
     parser.add_argument("--workers", type=int, default=1, help="processes")
     parser.add_argument("--only", nargs="+", choices=list(STUDIES), default=list(STUDIES))
     parser.add_argument("--redraw", action="store_true", help="from onset.csv, no simulation")
@@ -266,7 +265,6 @@ def main() -> None:
     for found in in_parallel(study, cases, options.workers):
         rows += found
         # What has been found so far is kept.
-        options.output.mkdir(parents=True, exist_ok=True)
         pd.DataFrame(rows).to_csv(path, index=False, float_format="%.6g")
     table = pd.DataFrame(rows).reindex(columns=COLUMNS)
     table = table.sort_values(["study", "pitch_over_radius", "regularization_m", "rpm_per_s"])

@@ -10,11 +10,9 @@ and ends in another one, which is found from its end. Times are processor time, 
 Writes orbits.csv, .md and .png.
 """
 
-import argparse
 import time
 from collections.abc import Callable
 from itertools import pairwise
-from pathlib import Path
 from typing import TypeVar
 
 import matplotlib.pyplot as plt
@@ -22,9 +20,9 @@ import numpy as np
 import pandas as pd
 
 import derjax as dj
-from derjax.core.runtime import enable_compilation_cache
-from derjax.steady.orbit import fitted
+from derjax.steady.turn import fitted
 
+from .command import command_line
 from .tables import write
 
 RADIUS, PITCHES, STEPS = 6.36e-3, (9, 7, 5), 50
@@ -119,11 +117,9 @@ def figure(table: pd.DataFrame, settling: dict[float, np.ndarray]) -> plt.Figure
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
+    parser = command_line(__doc__)
     parser.add_argument("--turns", type=int, default=60)
     arguments = parser.parse_args()
-    enable_compilation_cache()
     rows, settling = [], {}
     for ratio in PITCHES:
         found, settling[ratio] = measure(ratio, arguments.turns)

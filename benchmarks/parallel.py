@@ -18,7 +18,6 @@ def in_parallel(
     """What a function says of cases, in the order in which they are done, with progress."""
     with Progress(len(cases), "cases") as progress:
         if workers == 1:
-            enable_compilation_cache()
             for number, case in enumerate(cases, 1):
                 yield function(case)
                 progress.update(number)

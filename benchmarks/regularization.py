@@ -18,9 +18,7 @@ Writes regularization.csv, .md and .png:
   eps and meshes.
 """
 
-import argparse
 from functools import partial
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -30,12 +28,12 @@ import pandas as pd
 from scipy.optimize import brentq
 
 import derjax
-from derjax.core.runtime import enable_compilation_cache
 from derjax.integrate.frames import march_frames, new_stats
 from derjax.results.dataset import to_dataset
 from derjax.results.summary import summarise
 from derjax.scenes.file import SceneFile
 
+from .command import command_line
 from .rigid import rigid_resistance, stokeslet_resistance
 from .tables import markdown
 
@@ -249,13 +247,9 @@ def figure(rod: pd.DataFrame, robot: pd.DataFrame) -> plt.Figure:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
-    arguments = parser.parse_args()
-    enable_compilation_cache()
+    arguments = command_line(__doc__).parse_args()
     rod, same, robot = rods(), equivalents(), robots()
     output = arguments.output
-    output.mkdir(parents=True, exist_ok=True)
     everything = pd.concat([rod, same.assign(what="eps of a cylinder"), robot])
     everything.to_csv(output / "regularization.csv", index=False, float_format="%.6g")
     figures = ["along / cylinder", "across / cylinder", "along / spheroid", "across / spheroid"]

@@ -11,9 +11,7 @@ Two predictions from derjax's own drag matrices, for the robot of Lim, Yadunanda
     python -m benchmarks.rigid_limit [-o docs/figures]
 """
 
-import argparse
 from functools import partial
-from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -24,6 +22,8 @@ from jaxtyping import Array, Float
 from benchmarks.rigid import propulsion, rigid_resistance, stokeslet_resistance
 from derjax import SceneFile
 from derjax.shapes import edge_count, helix, helix_contour, single_flagellum
+
+from .command import command_line
 
 BLOBS = {"1.67e-4 m": 1.67e-4, "1.02 r0": 1.02 * 1.6e-3, "sqrt(e) r0": np.sqrt(np.e) * 1.6e-3}
 PITCHES = (5, 7, 9)
@@ -158,10 +158,7 @@ def markdown(table: pd.DataFrame) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
-    options = parser.parse_args()
-    options.output.mkdir(parents=True, exist_ok=True)
+    options = command_line(__doc__).parse_args()
     table = rows()
     table.to_csv(options.output / "rigid_limit.csv", index=False, float_format="%.6g")
     text = markdown(table)

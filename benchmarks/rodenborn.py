@@ -10,7 +10,6 @@ writes rodenborn.csv (every computed point), rodenborn.png and rodenborn.md (the
 pitches, with the deviations from experiment).
 """
 
-import argparse
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
@@ -29,6 +28,8 @@ from benchmarks.rigid import (
 )
 from derjax.shapes import helix
 from derjax.terms.fluid.resistive import gray_hancock, lighthill
+
+from .command import command_line
 
 EXPERIMENT = Path(__file__).parent.parent / "data" / "rodenborn_2013.csv"
 QUANTITIES = ("thrust", "torque", "drag")
@@ -148,11 +149,9 @@ def figure(measured: pd.DataFrame, computed: pd.DataFrame, path: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
+    parser = command_line(__doc__)
     parser.add_argument("--points", type=int, default=18, help="pitches between the measured ones")
     options = parser.parse_args()
-    options.output.mkdir(parents=True, exist_ok=True)
     measured = experiment()
     between = np.geomspace(2.0, 15.6, options.points)
     computed = sweep(np.concatenate([measured.pitch_over_radius, between]))

@@ -9,9 +9,7 @@ of one core, and the memory that the compiled program asks for besides its argum
 Writes scaling.csv, .md and .png.
 """
 
-import argparse
 import time
-from pathlib import Path
 
 import jax
 import matplotlib.pyplot as plt
@@ -19,10 +17,10 @@ import numpy as np
 import pandas as pd
 
 import derjax
-from derjax.core.runtime import enable_compilation_cache
 from derjax.integrate.frames import new_stats
 from derjax.scenes.file import SceneFile
 
+from .command import command_line
 from .tables import write
 
 FLAGELLA = (2, 4, 8, 16, 32, 64)
@@ -117,12 +115,10 @@ def figure(table: pd.DataFrame) -> plt.Figure:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
+    parser = command_line(__doc__)
     parser.add_argument("--largest", type=int, default=2000, help="nodes")
     parser.add_argument("--only", choices=("many", "fine"), help="one of the two ways")
     arguments = parser.parse_args()
-    enable_compilation_cache()
     rows = []
     for method, limit in (("blocks", arguments.largest), ("dense", LARGEST_DENSE)):
         for n in FLAGELLA:

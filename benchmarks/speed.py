@@ -7,7 +7,6 @@ processes: with an empty compilation cache, then with a filled one, and a longer
 time per step, held to one core. Writes speed.csv and speed.md.
 """
 
-import argparse
 import json
 import os
 import subprocess
@@ -17,6 +16,8 @@ import time
 from pathlib import Path
 
 import pandas as pd
+
+from .command import command_line
 
 LONG, SHORT = 20.0, 0.1
 
@@ -39,9 +40,7 @@ def simulate(directory: Path, end: float, cores: set[int] | None) -> tuple[float
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
-    arguments = parser.parse_args()
+    arguments = command_line(__doc__).parse_args()
     with tempfile.TemporaryDirectory() as name:
         directory = Path(name)
         cold, _ = simulate(directory, SHORT, None)
@@ -60,7 +59,6 @@ def main() -> None:
         ],
         columns=["what", "value", "unit"],
     )
-    arguments.output.mkdir(parents=True, exist_ok=True)
     table.to_csv(arguments.output / "speed.csv", index=False)
     rows = [f"| {r.what} | {r.value:.3g} {r.unit} |" for r in table.itertuples()]
     text = "\n".join(["| what | figure |", "|---|---|", *rows]) + "\n"

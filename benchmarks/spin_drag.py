@@ -7,9 +7,6 @@ Then C_r is sought with which the model without it turns its head as fast as the
 is what a fit to tracks of a real robot finds. Writes spin_drag.csv and .md.
 """
 
-import argparse
-from pathlib import Path
-
 import jax
 import numpy as np
 import pandas as pd
@@ -22,6 +19,7 @@ from derjax.results.dataset import to_dataset
 from derjax.results.summary import summarise
 from derjax.rods.kinematics import positions
 
+from .command import command_line
 from .tables import write
 
 RPM = (60.0, 100.0)
@@ -89,9 +87,7 @@ def measure() -> pd.DataFrame:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
-    arguments = parser.parse_args()
+    arguments = command_line(__doc__).parse_args()
     table = measure()
     formats = {
         "rpm": ".0f",

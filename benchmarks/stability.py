@@ -26,7 +26,6 @@ that are finished; --resume goes on with the others. Writes stability.csv (one r
 with its message), stability.md and stability.png.
 """
 
-import argparse
 import itertools
 import math
 import sys
@@ -48,7 +47,6 @@ from pydantic import ValidationError
 import derjax
 from derjax import InputError, RolloutStats, Scene, SceneFile, State, Status
 from derjax.core.pytree import replace
-from derjax.core.runtime import enable_compilation_cache
 from derjax.integrate.frames import SEGMENTS, TRIES, _attempt, _going, _Run, new_stats
 from derjax.io.files import atomic_path
 from derjax.runs.progress import Progress, interruptible
@@ -57,6 +55,8 @@ from derjax.scenes.ingredients.time import TOLERANCES, TimeTable
 from derjax.scenes.messages import check
 from derjax.scenes.motortable import RateTable
 from derjax.scenes.shape import touching_pairs
+
+from .command import command_line
 
 END, SHORT = 1.0, 0.2
 """Length of a run, s."""
@@ -652,19 +652,16 @@ def faults(table: pd.DataFrame) -> list[str]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
+    parser = command_line(__doc__)
     parser.add_argument("--only", nargs="+", choices=list(AXES), metavar="AXIS")
     parser.add_argument("--resume", action="store_true", help="skip the cases in stability.csv")
     parser.add_argument("--redraw", action="store_true", help="from stability.csv, no simulation")
     options = parser.parse_args()
-    options.output.mkdir(parents=True, exist_ok=True)
     path = options.output / "stability.csv"
     if options.redraw:
         table = sorted_table(load(path))
         write(table, options.output)
         return 0
-    enable_compilation_cache()
     wanted = cases(options.only or AXES)
     again = set() if options.resume else {case.key for case in wanted}
     rows = [r for r in load(path) if (r["axis"], r["value"], r["scheme"]) not in again]

@@ -9,11 +9,9 @@ and a state on finer meshes.
 Writes steady.md, steady.png (curves for pitch / radius = 5) and steady_growth.png.
 """
 
-import argparse
 import math
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import TypeVar
 
 import jax
@@ -26,6 +24,7 @@ import derjax as dj
 from derjax.results import steady as results
 
 from .buckling import omega_bar, robot
+from .command import command_line
 from .tables import markdown
 
 T = TypeVar("T")
@@ -186,13 +185,10 @@ def sizes() -> pd.DataFrame:
 
 def main() -> None:
     """Make table and figure."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
-    arguments = parser.parse_args()
+    arguments = command_line(__doc__).parse_args()
     default = rows(44.5e-3, RATES)
     curve = rows(31.8e-3, CURVE)
     limit = dj.threshold(scene(31.8e-3, 160.0))
-    arguments.output.mkdir(parents=True, exist_ok=True)
     figure = results.curves(curve, "rpm", "rpm", [limit.value])
     figure.savefig(arguments.output / "steady.png", dpi=150)
     curves = {ratio: growth(ratio * RADIUS) for ratio in PITCHES}

@@ -14,9 +14,7 @@ The robot without inertia, its pitch 5, 7 or 9 times 6.36 mm, in steps of second
 Writes steady_in_time.csv and .md.
 """
 
-import argparse
 from itertools import pairwise
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -24,9 +22,10 @@ import pandas as pd
 
 import derjax as dj
 from derjax.core.pytree import replace
-from derjax.steady.orbit import fitted
+from derjax.steady.turn import fitted
 
 from .buckling import robot
+from .command import command_line
 from .parallel import in_parallel
 from .tables import markdown
 
@@ -168,15 +167,13 @@ def text(table: pd.DataFrame) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
+    parser = command_line(__doc__)
     parser.add_argument("--workers", type=int, default=1, help="processes")
     options = parser.parse_args()
     cases = [(name, *case) for name, (_, cases) in STUDIES.items() for case in cases]
     rows = [row for found in in_parallel(study, cases, options.workers) for row in found]
     order = ["study", "pitch_over_radius", "rpm", "step_s"]
     table = pd.DataFrame(rows).sort_values(order, ascending=[True, True, True, False])
-    options.output.mkdir(parents=True, exist_ok=True)
     table.to_csv(options.output / "steady_in_time.csv", index=False, float_format="%.6g")
     (options.output / "steady_in_time.md").write_text(text(table), encoding="utf-8")
     print(text(table))

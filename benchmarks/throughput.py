@@ -10,10 +10,8 @@ with the same run alone. Times are wall times, the best of two. Writes throughpu
 and .png.
 """
 
-import argparse
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -22,11 +20,11 @@ import numpy as np
 import pandas as pd
 
 import derjax
-from derjax.core.runtime import enable_compilation_cache
 from derjax.runs.batch import build_many, march_many, pick
 from derjax.scenes.file import SceneFile
 
 from .batch import seconds
+from .command import command_line
 from .tables import write
 
 STEPS, ROUNDS = 50, 2
@@ -114,11 +112,9 @@ def figure(table: pd.DataFrame, device: str) -> plt.Figure:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
+    parser = command_line(__doc__)
     parser.add_argument("--sizes", type=int, nargs="+", default=SIZES, help="runs in a batch")
     arguments = parser.parse_args()
-    enable_compilation_cache()
     device = jax.devices()[0]
     name = "cpu" if device.platform == "cpu" else device.device_kind
     rows: list[dict] = []

@@ -23,7 +23,6 @@ Writes work_precision.csv (all runs), .md and .png, work_precision_mesh.png, wor
 work_precision_order.csv and .png.
 """
 
-import argparse
 import hashlib
 import json
 import tempfile
@@ -43,7 +42,6 @@ from scipy.interpolate import CubicSpline
 
 import derjax
 from derjax.core.pytree import replace
-from derjax.core.runtime import enable_compilation_cache
 from derjax.core.status import Status
 from derjax.integrate.frames import march_frames, new_stats
 from derjax.integrate.schemes.euler import euler
@@ -55,6 +53,7 @@ from derjax.rods.kinematics import positions
 from derjax.scenes.file import SceneFile
 from derjax.scenes.ingredients.time import TOLERANCES as DEFAULTS
 
+from .command import command_line
 from .tables import markdown
 
 FRAME = 0.1
@@ -654,7 +653,6 @@ def draw_orders(fine: pd.DataFrame) -> plt.Figure:
 
 def write(table: pd.DataFrame, fine: pd.DataFrame | None, output: Path) -> None:
     """All files."""
-    output.mkdir(parents=True, exist_ok=True)
     table.to_csv(output / "work_precision.csv", index=False, float_format="%.6g")
     parts = [findings(table)] if "single" in set(table.case) else []
     parts.append(markdown(chosen(table), COLUMNS))
@@ -701,14 +699,12 @@ def contents() -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/figures"))
+    parser = command_line(__doc__)
     parser.add_argument("--quick", action="store_true", help="few runs: RSS, one mesh")
     parser.add_argument("--only", choices=list(CASES), help="this robot only")
     parser.add_argument("--rounds", type=int, default=ROUNDS, help="of timing")
     parser.add_argument("--cache", type=Path, help="where runs are kept")
     arguments = parser.parse_args()
-    enable_compilation_cache()
     kept = Path(tempfile.gettempdir()) / f"derjax_work_precision_{contents()}"
     runs = Runs(arguments.cache or kept)
     cases = [arguments.only] if arguments.only else list(CASES)

@@ -75,7 +75,7 @@ def folders(path: Path) -> set[str]:
 def test_relative_imports_are_resolved():
     """The tests below would pass for want of names if the resolution were wrong."""
     bend = set(imports(DERJAX / "terms" / "elastic" / "bend.py"))
-    assert {"derjax.solve.potential.Elements", "derjax.terms.term.Stage"} <= bend
+    assert {"derjax.solve.contributions.Elements", "derjax.terms.term.Stage"} <= bend
     assert {"integrate", "io", "rods", "terms"} <= folders(
         DERJAX / "scenes" / "ingredients" / "time.py"
     )

@@ -16,7 +16,8 @@ from derjax.core.status import Status
 from derjax.integrate.frames import new_stats
 from derjax.integrate.step import predict
 from derjax.solve.blocks import Layout, multiply
-from derjax.solve.potential import Mobility, assemble
+from derjax.solve.contributions import Mobility
+from derjax.solve.potential import assemble
 from derjax.solve.saddle import SaddlePointSystem, no_drag
 from derjax.terms import StokesletSegments
 from derjax.terms.contact import neighbours as neighbourhood

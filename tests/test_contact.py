@@ -17,8 +17,9 @@ from derjax import Scene, State, Topology, positions, roll_frames
 from derjax.core.pytree import replace
 from derjax.core.status import Status
 from derjax.integrate.schemes.euler import euler
+from derjax.solve.contributions import Pairs
 from derjax.solve.newton import NewtonSettings
-from derjax.solve.potential import Pairs, assemble
+from derjax.solve.potential import assemble
 from derjax.terms import Gravity, Inertia, Term
 from derjax.terms.contact.neighbours import Neighbours, pairs_apart, search
 from derjax.terms.contact.repulsion import (

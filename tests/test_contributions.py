@@ -19,9 +19,7 @@ from derjax.core.status import Status
 from derjax.integrate.step import Scene
 from derjax.rods.rod import Rod, State
 from derjax.solve.blocks import Layout
-from derjax.solve.gmres import gmres
-from derjax.solve.potential import (
-    Autodiff,
+from derjax.solve.contributions import (
     Contribution,
     Diagonal,
     Dofs,
@@ -32,6 +30,8 @@ from derjax.solve.potential import (
     Pairs,
     Quadratic,
 )
+from derjax.solve.gmres import gmres
+from derjax.solve.local import Autodiff
 from derjax.terms import ExplicitDrag, SpillmannTeschner, Stage, Term
 from derjax.terms.fluid.block_stokeslets import BlockStokeslets
 

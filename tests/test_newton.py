@@ -7,8 +7,10 @@ import pytest
 
 from derjax.core.pytree import Indices
 from derjax.core.status import Status
+from derjax.solve.contributions import Elements
+from derjax.solve.local import Autodiff
 from derjax.solve.newton import NewtonSettings, equilibrium
-from derjax.solve.potential import Autodiff, Elements, assemble
+from derjax.solve.potential import assemble
 
 PAIR = Indices(np.array([[0, 1]]))
 

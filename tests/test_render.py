@@ -15,6 +15,8 @@ from derjax import InputError
 from derjax.commands.main import main
 from derjax.results import animation
 from derjax.results import dataset as trajectory
+from derjax.results.film import NO_FILAMENT, PALETTE, film_of, polylines
+from derjax.results.surfaces import tubes
 
 N_FRAMES, N_NODES, SPACING = 12, 9, 0.1
 HELICES = tuple(tuple(range(k, k + N_NODES)) for k in (1, 1 + N_NODES))
@@ -103,23 +105,23 @@ def test_options_choose_the_frames(run, tmp_path):
 
 def test_film_keeps_time():
     """Frames have equal distances, are no more than asked for, and last as long as they must."""
-    film = animation.film(moving_helices(), fps=7.0, speed=1.0)
+    film = film_of(moving_helices(), fps=7.0, speed=1.0)
     np.testing.assert_allclose(film.time, SPACING * np.arange(0, N_FRAMES, 2))
     assert film.frame_length == pytest.approx(0.2)
     assert [film.label(i) for i in (0, 1)] == ["t = 0.0 s", "t = 0.2 s"]
-    slow = animation.film(moving_helices(), speed=0.1)
+    slow = film_of(moving_helices(), speed=0.1)
     assert slow.n_frames == N_FRAMES
     assert slow.frame_length == pytest.approx(1.0)
 
 
 def test_moments_have_the_digits_that_tell_frames_apart():
     data = moving_helices()
-    film = animation.film(data.assign_coords(time=1e-5 * data.time), fps=7.0, speed=1e-5)
+    film = film_of(data.assign_coords(time=1e-5 * data.time), fps=7.0, speed=1e-5)
     assert [film.label(i) for i in (0, 1)] == ["t = 0.000000 s", "t = 0.000002 s"]
 
 
 def test_gif_keeps_time_in_hundredths_of_a_second(run, tmp_path):
-    film = animation.film(moving_helices(), speed=1.5)
+    film = film_of(moving_helices(), speed=1.5)
     animation.write_gif(film, tmp_path / "film.gif")
     lengths = []
     with Image.open(tmp_path / "film.gif") as image:
@@ -131,22 +133,22 @@ def test_gif_keeps_time_in_hundredths_of_a_second(run, tmp_path):
 
 
 def test_followed_head_stays():
-    film = animation.film(moving_helices(), follow=True)
+    film = film_of(moving_helices(), follow=True)
     assert film.head is not None
     assert not film.head.any()
     assert film.label(10) == "t = 1.0 s,  head at (-2.0, 0.0, 0.0) mm"
     assert film.axis_label("x") == "x from head (mm)"
-    headless = animation.film(moving_helices(head=False), follow=True)
+    headless = film_of(moving_helices(head=False), follow=True)
     np.testing.assert_allclose(headless.nodes.mean(axis=1), 0.0, atol=1e-9)
     assert "middle at" in headless.label(0)
 
 
 def test_colours_are_those_of_the_filaments():
-    film = animation.film(moving_helices())
+    film = film_of(moving_helices())
     colour = dict(zip(film.lines, film.colours, strict=True))
-    assert [colour[path] for path in HELICES] == list(animation.PALETTE[:2])
-    assert [c for path, c in colour.items() if 0 in path] == [animation.NO_FILAMENT]
-    unknown = animation.film(moving_helices(filament=False))
+    assert [colour[path] for path in HELICES] == list(PALETTE[:2])
+    assert [c for path, c in colour.items() if 0 in path] == [NO_FILAMENT]
+    unknown = film_of(moving_helices(filament=False))
     assert len(unknown.lines) == len(set(unknown.colours)) == 1  # two at a node are no branch
 
 
@@ -163,15 +165,15 @@ def test_colours_are_those_of_the_filaments():
     ids=["chain", "shuffled", "two", "branched", "ring", "lasso"],
 )
 def test_polylines(edges, expected):
-    found = animation.polylines(np.array(edges))
+    found = polylines(np.array(edges))
     assert len(found) == len(expected)
     assert {min(path, path[::-1]) for path in found} == {min(p, p[::-1]) for p in expected}
 
 
 def test_tubes_have_the_radius_of_the_rod():
     """Away from nodes: the middles of a tube's long edges lie on the rod's surface."""
-    film = animation.film(moving_helices())
-    mesh = animation.tubes(film, 8)
+    film = film_of(moving_helices())
+    mesh = tubes(film, 8)
     assert np.isfinite(mesh.vertices).all()
     assert mesh.faces.max() == mesh.vertices.shape[1] - 1
     start = 0
@@ -187,9 +189,9 @@ def test_tubes_have_the_radius_of_the_rod():
 
 
 def test_everything_stays_in_the_picture():
-    film = animation.film(moving_helices())
+    film = film_of(moving_helices())
     low, high = film.bounds()
-    vertices = animation.tubes(film, 8).vertices
+    vertices = tubes(film, 8).vertices
     assert (vertices > low).all()
     assert (vertices < high).all()
     assert film.head is not None

@@ -30,8 +30,8 @@ from derjax.integrate.schemes.trbdf2 import D, trbdf2
 from derjax.integrate.step_size import StepSizeController
 from derjax.rods import head as kinematics
 from derjax.rods.rod import Rod
+from derjax.solve.contributions import Contribution, Diagonal
 from derjax.solve.newton import NewtonSettings
-from derjax.solve.potential import Contribution, Diagonal
 from derjax.terms import Inertia, Stage, Term
 
 N_DOFS = 11

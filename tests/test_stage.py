@@ -13,8 +13,8 @@ from derjax.core.pytree import pytree, replace
 from derjax.integrate.schemes.euler import euler
 from derjax.integrate.schemes.trbdf2 import trbdf2
 from derjax.rods.rod import Rod
+from derjax.solve.contributions import Diagonal, Load
 from derjax.solve.newton import NewtonSettings
-from derjax.solve.potential import Diagonal, Load
 from derjax.terms import ResistiveDrag, SpinDrag, Stage, Term
 
 run = jax.jit(march_frames, static_argnums=(2, 3))

@@ -59,18 +59,19 @@ def run(args: argparse.Namespace) -> int:
             nothing has been written.
     """
     from ..results import animation  # slow to import
+    from ..results.film import MOST_FPS, film_of, read
     from ..runs.progress import Progress
 
     source: Path = args.directory
     output: Path = source if args.output is None else args.output
     paths = {name: output / f"animation.{name}" for name in dict.fromkeys(args.formats)}
-    _check_numbers(args, animation.MOST_FPS)
+    _check_numbers(args, MOST_FPS)
     if not source.is_dir():
         raise InputError(f"{source}: no such directory")
     _check_output(paths, args.overwrite)
-    trajectory = animation.read(source / TRAJECTORY)
+    trajectory = read(source / TRAJECTORY)
     try:
-        film = animation.film(
+        film = film_of(
             trajectory,
             fps=args.fps,
             speed=args.speed,

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..rods.rod import History, State
-from ..solve.potential import Dofs
+from ..solve.contributions import Dofs
 
 
 def has_moved(state: State) -> Array:

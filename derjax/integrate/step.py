@@ -27,8 +27,9 @@ from ..core.status import SolverError, Status
 from ..rods.kinematics import positions, tangents
 from ..rods.rod import Rod, State, transport_frames
 from ..solve.blocks import Layout
+from ..solve.contributions import Dofs, Mobility
 from ..solve.newton import NewtonInfo, NewtonSettings, equilibrium
-from ..solve.potential import Dofs, Mobility, Potential, assemble
+from ..solve.potential import Potential, assemble
 from ..solve.saddle import SaddlePointSystem, no_drag
 from ..terms.term import Prediction, Stage, Term, contributions
 from .motor import Motor

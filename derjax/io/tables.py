@@ -10,8 +10,6 @@ are asked for, so that files of any size fit into memory.
 """
 
 import csv
-import math
-import re
 import unicodedata
 from array import array
 from collections.abc import Iterator, Sequence
@@ -23,8 +21,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core.errors import InputError
+from .column import Column
 from .fields import TIME_UNITS
-from .sniffing import DELIMITERS, Format, is_missing, sniff
+from .sniffing import DELIMITERS, Format, sniff
 from .textfile import LEGACY, encoding_of
 
 COUNTS = {2: "two", 3: "three"}
@@ -34,13 +33,6 @@ SAMPLE = 200
 
 MOST_NAMES = 40
 """Columns that a message lists at most."""
-
-DAY = 86400.0
-"""Seconds after which a clock begins anew."""
-
-_CLOCK = re.compile(r"(?:(\d+):)?(\d+):(\d{1,2}(?:[.,]\d*)?)")
-_WITH_FRAMES = re.compile(r"\d+:\d+:\d+[:;]\d+")
-_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
 
 
 @dataclass(frozen=True)
@@ -176,15 +168,17 @@ class TextTable:
             InputError: there is no such column, or a cell is neither a number nor empty; the
                 message names line and column.
         """
-        readers = [_Column(self, name, self.column(name), name == clock) for name in names]
+        places = [self.column(name) for name in names]
+        decimal = self.format.decimal
+        readers = [Column(self.path, name, decimal, name == clock) for name in names]
         chosen, wanted = (self.column(where[0]), where[1]) if where is not None else (0, None)
         lines = array("q")
         for number, (line, row) in enumerate(self._rows(), 1):
             if wanted is not None and not any(same(row[chosen], value) for value in wanted):
                 continue
             lines.append(line)
-            for reader in readers:
-                reader.add(row[reader.place], line, number)
+            for reader, place in zip(readers, places, strict=True):
+                reader.add(row[place], line, number)
         columns = [reader.finished() for reader in readers]
         return Numbers(
             np.stack(columns, axis=-1) if columns else np.empty((len(lines), 0)),
@@ -218,93 +212,6 @@ class TextTable:
         if self.format.delimiter == "," and len(row) > self.format.width:
             said += "; if there are decimal commas, semicolons or tabs must separate the columns"
         return said
-
-
-class _Column:
-    """One column while it is read."""
-
-    def __init__(self, table: TextTable, name: str, place: int, clock: bool) -> None:
-        self.place, self.clocks = place, 0
-        self._table, self._name, self._may_be_clock = table, name, clock
-        self._comma = table.format.decimal == ","
-        self._values = array("d")
-        self._thousands, self._fractions, self._whole = 0, 0, 0
-
-    def add(self, cell: str, line: int, row: int) -> None:
-        """Enters a cell."""
-        value = self._number(cell)
-        if value is None and self._may_be_clock and (match := _CLOCK.fullmatch(cell)):
-            hours, minutes, seconds = match.groups(default="0")
-            value = 3600.0 * int(hours) + 60.0 * int(minutes) + float(seconds.replace(",", "."))
-            self.clocks += 1
-        if value is None:
-            raise InputError(
-                f"{self._table.path}: line {line} (row {row}), column {self._name!r}: "
-                f"not a number: {self._said(cell)}"
-            )
-        self._values.append(value)
-
-    def _number(self, cell: str) -> float | None:
-        """The number in a cell, NaN for none, None for something else."""
-        if is_missing(cell):
-            return math.nan
-        text = cell.replace("\N{MINUS SIGN}", "-").strip()
-        if self._comma:
-            if "." in text:
-                return None
-            self._count(text)
-            text = text.replace(",", ".", 1)
-        try:
-            value = float(text)
-        except ValueError:
-            return None
-        return value if math.isfinite(value) and "_" not in text else None
-
-    def _count(self, text: str) -> None:
-        """Keeps account of what commas may stand for."""
-        if _THOUSANDS.fullmatch(text):
-            self._thousands += 1
-        elif "," in text:
-            self._fractions += 1
-        elif text.strip("+-0"):
-            self._whole += 1
-
-    def _said(self, cell: str) -> str:
-        """A cell that cannot be read, with what may be the matter."""
-        shown = repr(cell)
-        if _WITH_FRAMES.fullmatch(cell):
-            return (
-                f"{shown} seems to be hours:minutes:seconds:frames; give the column with the "
-                "numbers of the frames, and how many there are in a second"
-            )
-        if _CLOCK.fullmatch(cell):
-            return f"{shown} is a time of a clock"
-        other, sign = (".", "commas") if self._comma else (",", "points")
-        if other in cell and re.fullmatch(r"[+-]?[\d.,]+(e[+-]?\d+)?", cell, re.IGNORECASE):
-            return f"{shown}; the decimal signs of this table are {sign}"
-        return shown
-
-    def finished(self) -> Float[np.ndarray, " r"]:
-        """All values.
-
-        Raises:
-            InputError: commas separate thousands, or numbers and clock times are mixed.
-        """
-        path, name = self._table.path, self._name
-        if self._thousands and self._whole and not self._fractions:
-            raise InputError(
-                f"{path}: column {name!r}: commas seem to separate thousands; "
-                "export the numbers without them"
-            )
-        values = np.array(self._values)
-        if not self.clocks:
-            return values
-        if self.clocks < np.isfinite(values).sum():
-            raise InputError(f"{path}: column {name!r}: has times of a clock and plain numbers")
-        known = np.isfinite(values)
-        steps = np.diff(values[known], prepend=values[known][:1])
-        values[known] += DAY * np.cumsum(steps < -0.5 * DAY)
-        return values
 
 
 def read_table(path: Path) -> TextTable:

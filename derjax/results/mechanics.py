@@ -11,7 +11,8 @@ from ..integrate.step import Scene, motor_rotation, moving_stage
 from ..rods.kinematics import positions, tangents
 from ..rods.rod import State
 from ..rods.vectors import cross
-from ..solve.potential import Contribution, Dofs, Mobility, Potential, assemble
+from ..solve.contributions import Contribution, Dofs, Mobility
+from ..solve.potential import Potential, assemble
 from ..solve.saddle import drag_forces
 from ..steady.motion import imbalance
 from ..terms.term import Role, Stage, Term, contributions, standing

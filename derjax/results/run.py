@@ -110,13 +110,14 @@ class Run:
 
         Args:
             path: of the film; its ending says which kind. Replaced if it exists.
-            options: of `animation.film`: fps, speed, begin, end, follow.
+            options: of `film_of`: fps, speed, begin, end, follow.
 
         Raises:
             ValueError: another ending.
             InputError: there are less than two frames to show.
         """
         from . import animation  # slow to import
+        from .film import film_of
         from .viewer import write_html
 
         path = Path(path)
@@ -127,7 +128,7 @@ class Run:
         }
         if path.suffix not in writers:
             raise ValueError(f"{path}: films end in {', '.join(writers)}")
-        writers[path.suffix](animation.film(self.to_dataset(), **options), path)
+        writers[path.suffix](film_of(self.to_dataset(), **options), path)
         return path
 
     def __repr__(self) -> str:

@@ -11,7 +11,8 @@ import numpy as np
 import plotly.graph_objects as go
 
 from ..io.files import atomic_path
-from .animation import HEAD, Film, ball, tubes
+from .film import HEAD, Film
+from .surfaces import ball, tubes
 
 PAGE = """<!doctype html>
 <html lang="en">

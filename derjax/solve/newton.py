@@ -22,8 +22,8 @@ from jaxtyping import Array, Float, Int
 
 from ..core.pytree import jvp_nonzero, pytree, replace, static
 from ..core.status import Status
+from .contributions import Dofs
 from .dense import Factor
-from .potential import Dofs
 
 _SEARCHING = -1
 

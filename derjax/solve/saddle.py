@@ -31,8 +31,9 @@ from jaxtyping import Array, Float
 
 from ..core.pytree import Indices, pytree, static
 from .blocks import BlockFactor, Layout, assemble, factor_blocks, multiply
+from .contributions import Dofs, LocalHessians, Mobility, MobilityOperator
 from .gmres import gmres
-from .potential import Dofs, LocalHessians, Mobility, MobilityOperator, Potential
+from .potential import Potential
 
 ROUGH, EXACT = 1e-2, 1e-13
 """By how much GMRES lowers the residual: in Newton's method, where the coarse far field leaves as

@@ -22,7 +22,7 @@ from ..rods.kinematics import positions, tangents
 from ..rods.rod import State, moved, transport_frames
 from ..rods.topology import Topology
 from ..rods.vectors import cross, rotation_about
-from ..solve.potential import Contribution, Dofs, Matrix
+from ..solve.contributions import Contribution, Dofs, Matrix
 from ..terms.gravity import Gravity
 from ..terms.term import Role, contributions, standing
 

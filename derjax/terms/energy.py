@@ -11,7 +11,8 @@ from jaxtyping import Array, Float
 
 from ..core.pytree import Indices, pytree, static
 from ..rods.rod import Rod, State
-from ..solve.potential import Elements, Sum
+from ..solve.contributions import Elements
+from ..solve.local import Sum
 from .term import Stage, Term
 
 

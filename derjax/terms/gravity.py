@@ -5,7 +5,7 @@ from jaxtyping import Array, Float
 
 from ..core.pytree import pytree
 from ..rods.rod import Rod, State
-from ..solve.potential import Load
+from ..solve.contributions import Load
 from .term import Stage, Term
 
 

@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 
 from ..core.pytree import pytree
 from ..rods.rod import Rod, State
-from ..solve.potential import Diagonal
+from ..solve.contributions import Diagonal
 from .term import Role, Stage, Term
 
 

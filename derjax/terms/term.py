@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from ..core.pytree import pytree
 from ..rods.rod import Rod, State
-from ..solve.potential import Contribution, Mobility
+from ..solve.contributions import Contribution, Mobility
 
 T = TypeVar("T", bound="Term")
 

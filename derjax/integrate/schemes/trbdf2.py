@@ -26,8 +26,8 @@ from jaxtyping import Array
 
 from ...core.pytree import pytree
 from ...rods.rod import State
+from ...solve.contributions import Dofs
 from ...solve.newton import NewtonInfo, worse
-from ...solve.potential import Dofs
 from ...terms.term import Stage
 from ..predictor import has_moved, jerk
 from ..step import (

@@ -22,7 +22,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ...core.pytree import pytree
 from ...rods.rod import Rod, State
 from ...rods.vectors import dot, unit
-from ...solve.potential import Pairs
+from ...solve.contributions import Pairs
 from ..term import Prediction, Role, Stage, Term
 from .neighbours import Neighbours
 from .repulsion import Contact, ContactLaw, force, meeting, weights

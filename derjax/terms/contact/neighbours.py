@@ -15,7 +15,7 @@ from ...core.status import Status
 from ...rods.kinematics import positions
 from ...rods.rod import Rod, State
 from ...rods.topology import Topology
-from ...solve.potential import Dofs
+from ...solve.contributions import Dofs
 from .segments import distance
 
 PENETRATION = 0.01

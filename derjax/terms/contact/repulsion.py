@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 
 from ...core.pytree import Indices, pytree, replace, static
 from ...rods.rod import Rod, State
-from ...solve.potential import Pairs
+from ...solve.contributions import Pairs
 from ..term import Prediction, Stage, Term
 from .neighbours import Neighbours, search
 from .segments import Near, barrier_curvature, near

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from ...core.pytree import Indices, pytree, static
 from ...rods.kinematics import positions
 from ...rods.rod import Rod, State
-from ...solve.potential import Dofs, Load
+from ...solve.contributions import Dofs, Load
 from ..term import Role, Stage, Term
 from .segments import between, closest
 

@@ -43,7 +43,7 @@ from ...rods.kinematics import hinge_tangents, positions
 from ...rods.kinematics import tangents as edge_tangents
 from ...rods.rod import Rod, State
 from ...rods.vectors import cross, dot, holonomy, parallel_transport
-from ...solve.potential import Sum
+from ...solve.local import Sum
 
 Density = Callable[[Float[Array, " 2"], Float[Array, ""], Any], Float[Array, ""]]
 

@@ -5,7 +5,8 @@ from jaxtyping import Array, Float
 from ...core.pytree import pytree
 from ...rods.rod import Rod, State
 from ...rods.vectors import norm
-from ...solve.potential import Autodiff, Elements
+from ...solve.contributions import Elements
+from ...solve.local import Autodiff
 from ..term import Stage, Term
 
 

@@ -5,7 +5,7 @@ from jaxtyping import Array, Float
 
 from ...core.pytree import pytree
 from ...rods.rod import Rod, State
-from ...solve.potential import Elements
+from ...solve.contributions import Elements
 from ..term import Stage, Term
 from .hinge import HingePotential, hinge_frames
 

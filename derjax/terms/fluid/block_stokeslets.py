@@ -28,7 +28,7 @@ from ...core.pytree import Indices, pytree, replace, static
 from ...rods.kinematics import positions
 from ...rods.rod import Rod, State
 from ...solve.blocks import Layout
-from ...solve.potential import Mobility
+from ...solve.contributions import Mobility
 from ..term import Prediction, Role, Stage, Term
 from .domain import FREE_SPACE, Domain
 

@@ -4,7 +4,7 @@ from typing import Any, ClassVar
 
 from ...core.pytree import pytree
 from ...rods.rod import Rod, State
-from ...solve.potential import Load, Mobility
+from ...solve.contributions import Load, Mobility
 from ..term import Prediction, Role, Stage, Term, standing
 
 

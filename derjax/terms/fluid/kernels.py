@@ -60,13 +60,13 @@ def segment_kernels(
     v, x0, t = _moments(
         targets.T[:, :, None], starts.T[:, None, :], ends.T[:, None, :], regularization
     )
-    x0_x0, v_v = x0[:, None] * x0, v[:, None] * v
-    x0_v_tensor = x0[:, None] * v + v[:, None] * x0
+    # The dyads of the equations, put together by what stands on their left.
     identity = jnp.eye(3)[:, :, None, None]
     isotropic1 = t.t01 + regularization**2 * t.t03
     isotropic2 = t.t11 + regularization**2 * t.t13
-    m2 = isotropic2 * identity + t.t13 * x0_x0 + t.t23 * x0_v_tensor + t.t33 * v_v
-    m1 = isotropic1 * identity + t.t03 * x0_x0 + t.t13 * x0_v_tensor + t.t23 * v_v - m2
+    t0, t1, t2 = (a * x0 + b * v for a, b in ((t.t03, t.t13), (t.t13, t.t23), (t.t23, t.t33)))
+    m2 = isotropic2 * identity + x0[:, None] * t1 + v[:, None] * t2
+    m1 = (isotropic1 - isotropic2) * identity + x0[:, None] * (t0 - t1) + v[:, None] * (t1 - t2)
     return m1, m2
 
 

@@ -11,7 +11,8 @@ from ...rods.kinematics import positions
 from ...rods.rod import Rod, State
 from ...rods.topology import Topology
 from ...rods.vectors import dot, unit
-from ...solve.potential import Elements, QuadraticForm
+from ...solve.contributions import Elements
+from ...solve.local import QuadraticForm
 from ..term import Prediction, Role, Stage, Term
 
 

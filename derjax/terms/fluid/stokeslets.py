@@ -19,15 +19,15 @@ from jaxtyping import Array, Float
 from ...core.pytree import Indices, jvp_nonzero, pytree, replace, static
 from ...rods.kinematics import positions
 from ...rods.rod import Rod, State
-from ...solve.potential import Quadratic
+from ...solve.contributions import Quadratic
 from ..term import Prediction, Role, Stage, Term
 from .domain import FREE_SPACE, Domain
 
 
 def _by_node(starts: Float[Array, "*b s"], ends: Float[Array, "*b s"]) -> Float[Array, "*b n"]:
     """Sums over the segments of a filament what belongs to the nodes they start and end at."""
-    rest = ((0, 0),) * (starts.ndim - 1)
-    return jnp.pad(starts, (*rest, (0, 1))) + jnp.pad(ends, (*rest, (1, 0)))
+    inner = starts[..., 1:] + ends[..., :-1]
+    return jnp.concatenate([starts[..., :1], inner, ends[..., -1:]], axis=-1)
 
 
 def mobility(
