@@ -395,6 +395,18 @@ def _solved(scene: Scene, symmetry: Symmetry, guess: Array, guessed: Array) -> S
     return solved_by(Equations(scene, symmetry), found)
 
 
+def steady_as(scene: Scene, known: Steady) -> Steady:
+    """A steady state of a scene that is known: with derivatives by all that JAX traces of the scene.
+
+    Args:
+        scene: with the numbers of `known.scene`, which JAX may trace.
+        known: its steady state.
+    """
+    equations = Equations(scene, known.symmetry)
+    found = unknowns_of(equations, known), jnp.ones(())
+    return solved_by(equations, (*found, known.status, known.iterations, known.residual))
+
+
 def solved_by(equations: Equations, solution: Found) -> Steady:
     """The steady state that has been found, with derivatives by the implicit function theorem."""
     found, part, status, tries, size = solution

@@ -24,7 +24,7 @@ from ..core.status import SolverError
 from ..integrate.step import Scene
 from .equilibrium import equilibrium
 from .motion import imbalance, rates, rotating_acceleration
-from .solve import Steady, steady
+from .solve import Steady, steady, steady_as
 
 INFINITE = 1e12
 """Eigenvalues (1/s) that are larger are those of motions without drag: over the rate of the motor,
@@ -241,17 +241,22 @@ def eigenvalue(scene: Scene, known: Mode) -> Array:
         known: the mode at these numbers.
     """
     value, xi, w = lax.stop_gradient((known.eigenvalue, known.right, known.left.conj()))
-    state = steady(scene, guess=lax.stop_gradient(known.state))
+    state = steady_as(scene, lax.stop_gradient(known.state))
     q, still = state.state.q, jnp.zeros_like(state.state.q)
 
-    def along(direction: Array) -> tuple[Array, Array]:
-        _, by_shape = jax.jvp(lambda x: _imbalance_by(state, x, still), (q,), (direction,))
-        _, by_rate = jax.jvp(lambda v: _imbalance_by(state, q, v), (still,), (direction,))
-        return by_shape, by_rate
+    def along(shape: Array, rate: Array) -> Array:
+        return jax.jvp(lambda x, v: _imbalance_by(state, x, v), (q, still), (shape, rate))[1]
 
-    real, imaginary = along(xi.real), along(xi.imag)
-    by_shape, by_rate = (a + 1j * b for a, b in zip(real, imaginary, strict=True))
-    return value - (w @ (by_shape + value * by_rate)) / lax.stop_gradient(w @ by_rate)
+    # One program for the real and the imaginary part: it is differentiated, which takes long to
+    # compile.
+    directions = jnp.stack([xi.real, xi.imag]), jnp.stack([(value * xi).real, (value * xi).imag])
+    real, imaginary = jax.vmap(along)(*directions)
+    known_state = lax.stop_gradient(state)
+    by_rate = jax.vmap(
+        lambda rate: jax.jvp(lambda v: _imbalance_by(known_state, q, v), (still,), (rate,))[1]
+    )(directions[0])
+    norm = lax.stop_gradient(w @ (by_rate[0] + 1j * by_rate[1]))
+    return value - (w @ (real + 1j * imaginary)) / norm
 
 
 def growth_slopes(known: Stability, names: Sequence[str], mode: int = 0) -> dict[str, float]:
