@@ -1,6 +1,7 @@
-"""The notebooks run, and their executed copies have the same cells."""
+"""The notebooks run, their executed copies have the same cells, and the gallery shows those."""
 
 import os
+import runpy
 from pathlib import Path
 
 import jupytext
@@ -10,7 +11,8 @@ from nbclient import NotebookClient
 from nbformat import NotebookNode
 from quick import environment
 
-NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.py"))
+ROOT = Path(__file__).parents[1]
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.py"))
 TIMEOUT = 900
 """Seconds that a cell may take, on a computer that is busy with something else as well."""
 
@@ -33,6 +35,21 @@ def test_executed_copy_is_in_sync(path):
     assert counts == list(range(1, len(code) + 1)), "not executed from top to bottom"
     assert not [o for cell in code for o in cell.outputs if o.output_type == "error"]
     assert [o for cell in code for o in cell.outputs if "image/png" in o.get("data", {})]
+
+
+def test_gallery_shows_every_notebook():
+    """Its page and its pictures are those that `python docs/make_gallery.py` would make now."""
+    gallery = runpy.run_path(str(ROOT / "docs" / "make_gallery.py"))
+    notebooks = gallery["read"]()
+    assert list(notebooks) == [path.stem for path in NOTEBOOKS]
+    page = gallery["PAGE"].read_text(encoding="utf-8")
+    assert page == gallery["page"](notebooks)
+    pictures = {path.stem: path.read_bytes() for path in gallery["PICTURES"].glob("*.png")}
+    assert pictures == {stem: gallery["picture"](one) for stem, one in notebooks.items()}
+    for stem in notebooks:
+        assert f"(../notebooks/{stem}.ipynb)" in page
+        assert f"(gallery/{stem}.png)" in page
+    assert "docs/gallery.md" in (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
