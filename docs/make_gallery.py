@@ -2,8 +2,9 @@
 
     python docs/make_gallery.py
 
-Of each notebook it takes the title, the first sentences, and one picture: that of the first cell with
-the tag "gallery", or else the last picture. To choose, write `# %% tags=["gallery"]` above a cell.
+Of each notebook it takes the title, the first sentences, and one picture: that of the first cell
+with the tag "gallery", or else the last picture. To choose, write `# %% tags=["gallery"]` above a
+cell.
 """
 
 import base64
@@ -24,8 +25,9 @@ SENTENCES = 2
 
 HEAD = """# Gallery
 
-The notebooks, each with one of its pictures. A notebook takes about a minute, most of it for compiling, and checks its
-own numbers. `python docs/make_gallery.py` makes this page from the executed copies.
+The notebooks, each with one of its pictures. A notebook takes about a minute, most of it for
+compiling, and checks its own numbers. `python docs/make_gallery.py` makes this page from the
+executed copies.
 """
 
 

@@ -396,7 +396,7 @@ def _solved(scene: Scene, symmetry: Symmetry, guess: Array, guessed: Array) -> S
 
 
 def steady_as(scene: Scene, known: Steady) -> Steady:
-    """A steady state of a scene that is known: with derivatives by all that JAX traces of the scene.
+    """A steady state that is known, with derivatives by all that JAX traces of its scene.
 
     Args:
         scene: with the numbers of `known.scene`, which JAX may trace.
