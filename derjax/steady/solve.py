@@ -396,7 +396,7 @@ def _solved(scene: Scene, symmetry: Symmetry, guess: Array, guessed: Array) -> S
     return solved_by(Equations(scene, symmetry), found)
 
 
-def again(scene: Scene, known: Steady) -> Steady:
+def steady_as(scene: Scene, known: Steady) -> Steady:
     """A steady state that is known, as a function of the numbers of its scene.
 
     Nothing is solved for again: a program that only differentiates is short, and quick to compile.

@@ -9,7 +9,7 @@ before. (So that they do, their moments of inertia, which are tiny, are left out
 the shape have the eigenvalues 0 and, as seen from the turning shape, +-i |Omega|.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,7 +25,7 @@ from ..core.status import SolverError
 from ..integrate.step import Scene
 from .equilibrium import equilibrium
 from .motion import imbalance, rates, rotating_acceleration
-from .solve import Steady, again, steady
+from .solve import Steady, steady, steady_as
 
 INFINITE = 1e12
 """Eigenvalues (1/s) that are larger are those of motions without drag: over the rate of the motor,
@@ -282,19 +282,24 @@ def eigenvalue(scene: Scene, known: Mode) -> Array:
         known: the mode at these numbers.
     """
     value, xi, w = lax.stop_gradient((known.eigenvalue, known.right, known.left.conj()))
-    state = again(scene, known.state)
+    state = steady_as(scene, known.state)
     q, still = state.state.q, jnp.zeros_like(state.state.q)
 
-    def pushed(by: Callable[[Array], Array], at: Array, way: Array) -> Array:
-        """What a complex displacement, rate or acceleration makes of the imbalance."""
-        real, imaginary = (jax.jvp(by, (at,), (part,))[1] for part in (way.real, way.imag))
+    def pushed(state: Steady, shape: Array, rate: Array, acceleration: Array) -> Array:
+        """What a displacement that changes makes of the imbalance; complex."""
+
+        def by(way: tuple[Array, Array, Array]) -> Array:
+            return jax.jvp(lambda *at: _imbalance_by(state, *at), (q, still, still), way)[1]
+
+        # One program for the real and the imaginary part: it is differentiated again, and takes
+        # long to compile.
+        ways = (shape, rate, acceleration)
+        real, imaginary = jax.vmap(by)(tuple(jnp.stack([w.real, w.imag]) for w in ways))
         return real + 1j * imaginary
 
-    by_shape = pushed(lambda x: _imbalance_by(state, x, still, still), q, xi)
-    by_rate = pushed(lambda v: _imbalance_by(state, q, v, still), still, xi)
-    by_acceleration = pushed(lambda a: _imbalance_by(state, q, still, a), still, xi)
-    left = w @ (by_shape + value * by_rate + value**2 * by_acceleration)
-    return value - left / lax.stop_gradient(w @ (by_rate + 2.0 * value * by_acceleration))
+    left = w @ pushed(state, xi, value * xi, value**2 * xi)
+    by_value = w @ pushed(lax.stop_gradient(state), 0.0 * xi, xi, 2.0 * value * xi)
+    return value - left / lax.stop_gradient(by_value)
 
 
 def growth_slopes(known: Stability, names: Sequence[str], mode: int = 0) -> dict[str, float]:

@@ -32,7 +32,7 @@ from derjax import (
 from derjax.integrate.frames import RolloutStats
 from derjax.integrate.step import enlarge
 from derjax.rods.rod import State
-from derjax.steady.solve import again
+from derjax.steady.solve import steady_as
 from derjax.steady.stability import growth_slopes
 
 from .motion import Rest, RunMotion, SteadyMotion
@@ -169,7 +169,7 @@ def _steady_slopes(
     functions: tuple[Callable[[Any], Array], ...], state: Steady, numbers: dict[str, Array]
 ) -> tuple[Float[Array, " q"], dict[str, Array]]:
     def of(numbers: dict[str, Array]) -> tuple[Array, Array]:
-        motion = SteadyMotion(again(state.scene.replace(**numbers), state))
+        motion = SteadyMotion(steady_as(state.scene.replace(**numbers), state))
         values = jnp.stack([function(motion) for function in functions])
         return values, values
 
