@@ -293,8 +293,8 @@ def eigenvalue(scene: Scene, known: Mode) -> Array:
 
         # One program for the real and the imaginary part: it is differentiated again, and takes
         # long to compile.
-        ways = (shape, rate, acceleration)
-        real, imaginary = jax.vmap(by)(tuple(jnp.stack([w.real, w.imag]) for w in ways))
+        parts = (jnp.stack([way.real, way.imag]) for way in (shape, rate, acceleration))
+        real, imaginary = jax.vmap(lambda *ways: by(ways))(*parts)
         return real + 1j * imaginary
 
     left = w @ pushed(state, xi, value * xi, value**2 * xi)
