@@ -389,6 +389,7 @@ def test_new_writes_files_that_work(tmp_path, capsys):
         "scene.toml",
         "two_flagella.toml",
         "sweep.toml",
+        "design.toml",
         "motor.csv",
         "dataset.toml",
         "track.csv",

@@ -14,6 +14,7 @@ FILES = (
     "scene.toml",
     "two_flagella.toml",
     "sweep.toml",
+    "design.toml",
     "motor.csv",
     "dataset.toml",
     "track.csv",

@@ -213,15 +213,24 @@ class SceneFile(Table):
         return self.contact.method or ("smooth" if self.robot.count > 1 else "none")
 
     @property
-    def edge(self) -> float:
-        """Length of the edges of the flagella, m; the shortest if they differ."""
+    def contours(self) -> tuple[float, ...]:
+        """Length of every flagellum along its centre line, m."""
         robot = self.robot
         contours = np.array(robot.each("axial_length"))
         if robot.shape == "helix":
             pitch = np.array(robot.each("pitch"))
             contours *= np.hypot(2 * np.pi * np.array(robot.each("helix_radius")), pitch) / pitch
-        edges = [c / max(3, int(c / robot.edge_length + 1e-9)) for c in contours.tolist()]
-        return min(edges)
+        return tuple(contours.tolist())
+
+    @property
+    def edge_counts(self) -> tuple[int, ...]:
+        """Number of edges of every flagellum."""
+        return tuple(max(3, int(c / self.robot.edge_length + 1e-9)) for c in self.contours)
+
+    @property
+    def edge(self) -> float:
+        """Length of the edges of the flagella, m; the shortest if they differ."""
+        return min(c / n for c, n in zip(self.contours, self.edge_counts, strict=True))
 
     @property
     def in_blocks(self) -> bool:

@@ -7,7 +7,7 @@ import time
 from importlib.metadata import version
 from pathlib import Path
 
-from derjax import InputError
+from derjax import InputError, SolverError
 from derjax.commands.options import add_output, add_quiet
 from derjax.io.output import Output, output_directory
 from derjax.runs.progress import interruptible
@@ -84,7 +84,14 @@ def _run(
                 raise Stop
 
         designs = Designs(file.problem, known, looked_at)
-        design = solved(designs, file.search, printer.attempt)
+        try:
+            design = solved(designs, file.search, printer.attempt)
+        except (InputError, SolverError):
+            ledger.path.unlink(missing_ok=True)  # it would end like this again
+            raise
+        except KeyboardInterrupt:
+            print(f"{again} (no design was found yet)", file=sys.stderr)
+            return INTERRUPTED
         printer.clear()
         paths = write(design, output)
         if not args.no_figures and design.status != "interrupted":

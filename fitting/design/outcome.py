@@ -212,6 +212,7 @@ def solved(
 
     Raises:
         InputError: the limits contradict each other, or variables have no effect.
+        KeyboardInterrupt: it was stopped before there was a design that keeps to all limits.
         SolverError: no start can be simulated.
     """
     attempts = searched(designs, search, on_attempt)
@@ -224,7 +225,7 @@ def solved(
         on_attempt(len(attempts) - 1, attempts[-1])
     best = designs.best()
     if best is None:
-        raise SolverError("stopped before a design was found that keeps to all limits")
+        raise KeyboardInterrupt
     problem = designs.problem
     at_limit = designs.margins(best) < BINDING
     binding = [str(side) for side, at in zip(designs.sides, at_limit, strict=True) if at]

@@ -177,7 +177,7 @@ def write(design: Design, output: Output) -> list[Path]:
         text = json.dumps(as_dict(design), indent=2, allow_nan=False)
         temporary.write_text(text + "\n", encoding="utf-8")
     file: SceneFile = design.problem.scene.source.file
-    scene = file.with_parameters({**_means(design), **design.numbers})
+    scene = _on_the_same_mesh(file.with_parameters({**_means(design), **design.numbers}), file)
     content = scene.model_dump(mode="json", exclude_unset=True, exclude_none=True)
     paths = [output.path / REPORT, output.path / SCENE]
     if scene.motor_table is not None:
@@ -195,6 +195,18 @@ def write(design: Design, output: Output) -> list[Path]:
     with output.replacing(SCENE) as temporary:
         temporary.write_text(tomli_w.dumps(content), encoding="utf-8")
     return paths
+
+
+def _on_the_same_mesh(scene: SceneFile, before: SceneFile) -> SceneFile:
+    """With the number of edges that designs have, which is that of the scene of the start.
+
+    Where no length of edges gives that number to every flagellum, each has the nearest.
+    """
+    edge = min(c / n for c, n in zip(scene.contours, before.edge_counts, strict=True))
+    robot = scene.robot.model_copy(update={"edge_length": edge * (1 - 1e-12)})
+    fields = {"edge_length"} | scene.robot.model_fields_set
+    robot = type(robot).model_construct(_fields_set=fields, **dict(robot))
+    return scene.model_copy(update={"robot": robot})
 
 
 def _means(design: Design) -> dict[str, Any]:
