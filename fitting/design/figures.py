@@ -15,6 +15,8 @@ from .landscape import label_of, values_of
 from .outcome import Design
 from .report import statistic
 
+PALE = "#b8bcc4"
+
 FILM_TURNS, FILM_FRAMES = 3.0, 90
 """Turns of the motor that the film of a steady state shows, and its frames."""
 
@@ -29,25 +31,27 @@ def shapes_figure(design: Design) -> Figure:
         axes = figure.subplots(2, 1, sharex=True, sharey=True)
         for place, (word, scene) in zip(axes, pairs, strict=True):
             rest = positions(scene.rod.topology, scene.start.q)
-            _drawn(place, scene, np.asarray(rest), "#b8bcc4", "at rest")
+            _drawn(place, scene, np.asarray(rest), PALE, "at rest")
             if problem.through == "steady":
                 state = steady(scene)
                 if state.ok:
-                    _drawn(place, scene, np.asarray(state.positions), FLAGELLUM, "swimming")
+                    _drawn(place, scene, np.asarray(state.positions), FLAGELLUM, "swimming", HEAD)
             place.set(ylabel="y (mm)", aspect="equal", title=word)
         axes[-1].set_xlabel("x (mm)")
         axes[0].legend(frameon=False, fontsize="small", loc="upper right")
     return figure
 
 
-def _drawn(axes: Axes, scene: Scene, nodes: np.ndarray, colour: str, label: str) -> None:
+def _drawn(
+    axes: Axes, scene: Scene, nodes: np.ndarray, colour: str, label: str, of_head: str = PALE
+) -> None:
     for k, path in enumerate(scene.rod.topology.filaments):
         line = MM * nodes[list(path)]
         axes.plot(line[:, 0], line[:, 1], color=colour, lw=1.6, label=label if k == 0 else None)
     head = scene.rod.topology.head
     if head is not None and "head_radius" in scene.parameters:
         centre, radius = MM * nodes[head.node], MM * float(scene.parameters["head_radius"])
-        axes.add_patch(Circle(tuple(centre[:2]), radius, fill=False, ec=HEAD, lw=0.8))
+        axes.add_patch(Circle(tuple(centre[:2]), radius, fill=False, ec=of_head, lw=0.8))
 
 
 def tolerances_figure(design: Design) -> Figure:
@@ -90,9 +94,10 @@ def spread_figure(design: Design) -> Figure:
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(5.6, 3.0), layout="constrained")
         axes = figure.subplots()
-        axes.hist(good, bins=24, color=FLAGELLUM, alpha=0.8)
-        axes.axvline(design.objective, color=HEAD, lw=1.6, label=statistic(design))
-        axes.set(xlabel=label_of(design).replace(f"{statistic(design)} of ", ""), ylabel="draws")
+        said, size = label_of(design)
+        axes.hist(size * good, bins=24, color=FLAGELLUM, alpha=0.8)
+        axes.axvline(size * design.objective, color=HEAD, lw=1.6, label=statistic(design))
+        axes.set(xlabel=said.removeprefix(f"{statistic(design)} of "), ylabel="draws")
         axes.legend(frameon=False)
     return figure
 

@@ -12,7 +12,7 @@ from derjax.results.plots import FLAGELLUM, HEAD, MEAN, MM, STYLE
 from derjax.scenes.extensions import unit_of
 
 from .outcome import Design
-from .problem import Designs, Point
+from .problem import KEPT, Designs, Point
 from .report import statistic
 from .variables import Vector
 
@@ -32,8 +32,8 @@ def landscape(
         stopping: asked after every design whether to stop.
 
     Returns:
-        A row for each design: the variables by label, the objective, whether all limits are kept,
-        and the label of the variable of its slice.
+        A row for each design: the variables by label, the objective, the smallest margin to a
+        limit in parts of it, and the label of the variable of its slice.
     """
     variables = designs.problem.variables
     labels, line = variables.labels, np.linspace(0.0, 1.0, count)
@@ -54,8 +54,8 @@ def landscape(
             break
         point = designs(x)
         numbers = dict(zip(labels, variables.offset + variables.scale * x, strict=True))
-        kept = designs.keeps(point)
-        rows.append(numbers | {"objective": point.objective, "kept": kept, "slice": label})
+        left = float(np.min(designs.margins(point), initial=np.inf)) if point.ok else -np.inf
+        rows.append(numbers | {"objective": point.objective, "margin": left, "slice": label})
     return pd.DataFrame(rows)
 
 
@@ -75,44 +75,45 @@ def landscape_figure(design: Design, around: pd.DataFrame) -> Figure:
         for place in axes.flat[len(shown) :]:
             place.set_visible(False)
         for place in axes[:, 0]:
-            place.set_ylabel(label_of(design))
+            place.set_ylabel(label_of(design)[0])
     return figure
 
 
-def label_of(design: Design) -> str:
-    """What stands at an axis of the objective."""
-    objective = design.problem.objective
+def label_of(design: Design) -> tuple[str, float]:
+    """What stands at an axis of the objective, and the factor from SI units."""
     said = "" if design.problem.uncertain is None else f"{statistic(design)} of "
-    return f"{said}{objective.name}" + ("" if objective.unit == "1" else f" ({objective.unit})")
+    objective = design.problem.objective
+    text, scale = _with_unit(objective.name, objective.unit)
+    return said + text, scale
 
 
-def _axis(label: str) -> tuple[str, float]:
-    """What stands at an axis, and the factor from SI units: lengths in mm."""
-    unit = unit_of(label)
-    if unit == "m":
-        return f"{label} (mm)", MM
-    return (label if unit in ("1", label) else f"{label} ({unit})"), 1.0
+def _with_unit(name: str, unit: str) -> tuple[str, float]:
+    """A name with its unit, and the factor from SI units: lengths in mm."""
+    if unit in ("m", "m/s"):
+        return f"{name} (m{unit})", MM
+    return (name if unit in ("1", name) else f"{name} ({unit})"), 1.0
 
 
 def _slice(axes: Axes, design: Design, part: pd.DataFrame, label: str) -> None:
-    text, scale = _axis(label)
+    text, scale = _with_unit(label, unit_of(label))
     place = design.problem.variables.labels.index(label)
-    x, y = scale * part[label].to_numpy(float), part["objective"].to_numpy(float)
-    kept = part["kept"].to_numpy(bool)
+    size = label_of(design)[1]
+    x, y = scale * part[label].to_numpy(float), size * part["objective"].to_numpy(float)
+    kept = part["margin"].to_numpy(float) >= -KEPT
     axes.plot(x, y, color="#b8bcc4", lw=1.2)
     axes.plot(x, np.where(kept, y, np.nan), color=FLAGELLUM, lw=1.8)
     if design.problem.variables.size == 1:
         for attempt in design.attempts:
             way = [p for p in attempt.path if p.ok]
             at = [scale * values_of(design, p)[place] for p in way]
-            axes.plot(at, [p.objective for p in way], "o", color=MEAN, ms=2.5, alpha=0.5)
+            axes.plot(at, [size * p.objective for p in way], "o", color=MEAN, ms=2.5, alpha=0.5)
     axes.plot(
         scale * values_of(design, design.best)[place], design.objective, "o", color=HEAD, ms=6
     )
     if design.start is not None and design.problem.variables.size == 1:
         axes.plot(
             scale * values_of(design, design.start)[place],
-            design.start.objective,
+            size * design.start.objective,
             "s",
             color=MEAN,
             ms=5,
@@ -129,17 +130,19 @@ def values_of(design: Design, point: Point) -> Vector:
 
 def _map(design: Design, around: pd.DataFrame) -> Figure:
     first, second = design.problem.variables.labels
-    (text, scale), (other, factor) = _axis(first), _axis(second)
+    (text, scale), (other, factor) = (_with_unit(n, unit_of(n)) for n in (first, second))
     table = around.pivot(index=second, columns=first, values="objective")
-    kept = around.pivot(index=second, columns=first, values="kept")
+    margin = around.pivot(index=second, columns=first, values="margin").to_numpy(float)
     x, y = scale * table.columns.to_numpy(float), factor * table.index.to_numpy(float)
     figure = Figure(figsize=(6.0, 4.6), layout="constrained")
     axes = figure.subplots()
-    drawn = axes.contourf(x, y, table.to_numpy(float), 24, cmap="viridis")
-    figure.colorbar(drawn, ax=axes, label=label_of(design))
-    if not kept.to_numpy(bool).all():
-        axes.contourf(x, y, kept.to_numpy(float), [-0.5, 0.5], colors=["white"], alpha=0.6)
-        axes.contour(x, y, kept.to_numpy(float), [0.5], colors=["white"], linewidths=1.2)
+    said, size = label_of(design)
+    drawn = axes.contourf(x, y, size * table.to_numpy(float), 24, cmap="viridis")
+    figure.colorbar(drawn, ax=axes, label=said)
+    margin = np.clip(margin, -1.0, 1.0)
+    if margin.min() < 0.0 < margin.max():
+        axes.contourf(x, y, margin, [-2.0, 0.0], colors=["white"], alpha=0.6)
+        axes.contour(x, y, margin, [0.0], colors=["white"], linewidths=1.4)
     for attempt in design.attempts:
         way = np.array([values_of(design, p) for p in attempt.path if p.ok]).reshape(-1, 2)
         axes.plot(
