@@ -1,6 +1,7 @@
 """The objective around the best design, and a figure of it with the way of the search."""
 
 from collections.abc import Callable
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -102,23 +103,17 @@ def _slice(axes: Axes, design: Design, part: pd.DataFrame, label: str) -> None:
     kept = part["margin"].to_numpy(float) >= -KEPT
     axes.plot(x, y, color="#b8bcc4", lw=1.2)
     axes.plot(x, np.where(kept, y, np.nan), color=FLAGELLUM, lw=1.8)
+
+    def mark(points: list[Point], kind: str, **style: Any) -> None:
+        at = [scale * values_of(design, point)[place] for point in points]
+        axes.plot(at, [size * point.objective for point in points], kind, **style)
+
     if design.problem.variables.size == 1:
         for attempt in design.attempts:
-            way = [p for p in attempt.path if p.ok]
-            at = [scale * values_of(design, p)[place] for p in way]
-            axes.plot(at, [size * p.objective for p in way], "o", color=MEAN, ms=2.5, alpha=0.5)
-    axes.plot(
-        scale * values_of(design, design.best)[place], design.objective, "o", color=HEAD, ms=6
-    )
-    if design.start is not None and design.problem.variables.size == 1:
-        axes.plot(
-            scale * values_of(design, design.start)[place],
-            size * design.start.objective,
-            "s",
-            color=MEAN,
-            ms=5,
-            mfc="none",
-        )
+            mark([p for p in attempt.path if p.ok], "o", color=MEAN, ms=2.5, alpha=0.5)
+        if design.start is not None:
+            mark([design.start], "s", color=MEAN, ms=5, mfc="none")
+    mark([design.best], "o", color=HEAD, ms=6)
     axes.set_xlabel(text)
 
 
