@@ -202,6 +202,8 @@ def _on_the_same_mesh(scene: SceneFile, before: SceneFile) -> SceneFile:
 
     Where no length of edges gives that number to every flagellum, each has the nearest.
     """
+    if scene.edge_counts == before.edge_counts:
+        return scene
     edge = min(c / n for c, n in zip(scene.contours, before.edge_counts, strict=True))
     robot = scene.robot.model_copy(update={"edge_length": edge * (1 - 1e-12)})
     fields = {"edge_length"} | scene.robot.model_fields_set
