@@ -180,6 +180,10 @@ def problem_of(
         raise InputError(f"begin = {begin:g}: must be within the run, from 0 to its end")
     sign = 1.0 if maximise is not None else -1.0
     variables = variables_of(scene, vary)
+    if uncertain is not None:
+        if unknown := [name for name in uncertain.names if name not in scene.parameters]:
+            raise InputError(f"[uncertain] {unknown[0]}: the scene has no such parameter")
+        scene = scene.replace(**dict(zip(uncertain.names, uncertain.mean.tolist(), strict=True)))
     return Problem(scene, variables, objective, sign, kept, through, begin, held, uncertain)
 
 
@@ -251,6 +255,10 @@ def solved(
 BINDING, EDGE = 1e-4, 1e-6
 """Parts of a limit, and of a variable's range, within which a design is at it."""
 
+NEUTRAL = 1e-5
+"""1/s: growth rates of designs at the limit of their stability are as far from zero as a search
+comes to it."""
+
 
 def _status(attempts: Sequence[Attempt], best: Point) -> str:
     """That of the attempt which came to the best design."""
@@ -271,7 +279,7 @@ def _unstable(designs: Designs, start: Point | None, best: Point) -> Iterator[st
         except SolverError as error:
             yield f"whether {word} is stable could not be told: {error}"
             continue
-        if growth > 0.0:
+        if growth > NEUTRAL:
             yield (
                 f"{word} would not go on like this: its steady state is unstable, with a growth "
                 f"rate of {growth:.3g} 1/s, and buckles. A constraint on growth_rate, of at most "
@@ -317,6 +325,6 @@ def _spread(designs: Designs, best: Point) -> Float[np.ndarray, " c"]:
     found = []
     for draw in problem.uncertain.sample(DRAWS):
         more = dict(zip(problem.uncertain.names, draw.tolist(), strict=True))
-        evaluation = designs.evaluator({**numbers, **more})
+        evaluation = designs.evaluator(numbers, more)
         found.append(evaluation.values.get(problem.objective.name, np.nan))
     return np.array(found)
