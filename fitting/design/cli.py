@@ -1,6 +1,7 @@
 """`derjax design`: find the dimensions of a robot that make it as good as can be."""
 
 import argparse
+import math
 import shlex
 import sys
 import time
@@ -14,7 +15,7 @@ from derjax.runs.progress import interruptible
 
 from .file import DesignFile, load_design
 from .ledger import LEDGER, Ledger
-from .outcome import Design, solved
+from .outcome import Design, on_a_finer_mesh, solved
 from .problem import Designs, Point
 from .report import REPORT, sentences, write
 from .search import Attempt, Stop
@@ -23,6 +24,14 @@ HELP = "Design a robot by exact gradients: dimensions, or a programme of its mot
 DONE, UNFINISHED, INTERRUPTED = 0, 2, 130
 
 SECONDS_BETWEEN_LINES = 0.5
+
+COARSE = 0.02
+"""Part of the objective that half the length of edges may change without a warning."""
+
+FINER = (
+    "the mesh is coarse: what is best may depend on it. Search again with a shorter [robot] "
+    "edge_length"
+)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -93,13 +102,18 @@ def _run(
             print(f"{again} (no design was found yet)", file=sys.stderr)
             return INTERRUPTED
         printer.clear()
-        paths = write(design, output)
+        finer = math.nan
+        if design.status != "interrupted":
+            finer = on_a_finer_mesh(design)
+        paths = write(design, output, finer)
         if not args.no_figures and design.status != "interrupted":
             paths += _draw(file, designs, design, output, printer, stopping)
     if not args.quiet:
         print(f"\n{design.status} after {len(design.points)} designs, {printer.seconds:.0f} s\n")
-        print("\n".join(sentences(design)))
-    for warning in design.warnings:
+        print("\n".join(sentences(design, finer)))
+    coarse = abs(finer / design.objective - 1) > COARSE
+    told = [*design.warnings, *([FINER] if coarse else [])]
+    for warning in told:
         print(f"\nwarning: {warning}", file=sys.stderr)
     if not args.quiet:
         print("\n" + "\n".join(map(str, paths)))

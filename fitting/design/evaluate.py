@@ -8,6 +8,7 @@ quantities there are.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from types import MappingProxyType
 from typing import Any, Literal, Protocol
 
 import jax
@@ -42,6 +43,8 @@ Through = Literal["steady", "run", "rest"]
 Numbers = Mapping[str, Any]
 """Parameters of a scene by name: single numbers, or arrays."""
 
+NO_NUMBERS: Numbers = MappingProxyType({})
+
 REVERSE_COSTS = 12
 """Derivatives by so many numbers in forward mode cost what those of one quantity cost in reverse
 mode (`benchmarks/gradient_cost.py`)."""
@@ -68,9 +71,13 @@ class Evaluation:
 
 
 class Evaluator(Protocol):
-    """Finds the quantities of a scene with some of its numbers replaced."""
+    """Finds the quantities of a scene with some of its numbers replaced.
 
-    def __call__(self, numbers: Numbers) -> Evaluation: ...
+    Nothing is differentiated by the `others`: designs of one scene and of others that are like it
+    share a compiled program.
+    """
+
+    def __call__(self, numbers: Numbers, others: Numbers = NO_NUMBERS) -> Evaluation: ...
 
 
 class ThroughRest:
@@ -79,11 +86,11 @@ class ThroughRest:
     def __init__(self, scene: Scene, quantities: Sequence[Quantity]) -> None:
         self.scene, self.quantities = scene, quantities
 
-    def __call__(self, numbers: Numbers) -> Evaluation:
-        if wrong := _cannot_be(self.scene, numbers):
+    def __call__(self, numbers: Numbers, others: Numbers = NO_NUMBERS) -> Evaluation:
+        if wrong := _cannot_be(self.scene, {**numbers, **others}):
             return wrong
         functions = tuple(q.function for q in self.quantities)
-        found = _rest_slopes(functions, self.scene, _arrays(numbers))
+        found = _rest_slopes(functions, self.scene.replace(**others), _arrays(numbers))
         return _evaluation([q.name for q in self.quantities], numbers, *found)
 
 
@@ -118,18 +125,19 @@ class ThroughSteady:
     def state(self, numbers: Numbers) -> Steady:
         """The steady state, with its status."""
         place = np.concatenate([np.ravel(value) for value in numbers.values()])
-        near = min(self._known, key=lambda k: float(_apart(k[0], place)), default=(None, None))
+        alike = [known for known in self._known if known[0].shape == place.shape]
+        near = min(alike, key=lambda k: float(_apart(k[0], place)), default=(None, None))
         found = steady(self.scene.replace(**numbers), near[1])
         if found.ok:
             self._known = [*self._known[-MOST_KNOWN:], (place, found)]
         return found
 
-    def __call__(self, numbers: Numbers) -> Evaluation:
-        if wrong := _cannot_be(self.scene, numbers):
+    def __call__(self, numbers: Numbers, others: Numbers = NO_NUMBERS) -> Evaluation:
+        if wrong := _cannot_be(self.scene, {**numbers, **others}):
             return wrong
         functions = tuple(q.function for q in self.of_motion)
         try:
-            state = self.state(numbers)
+            state = self.state({**numbers, **others})
             state.raise_if_failed()
             found = _steady_slopes(functions, state, _arrays(numbers))
             evaluation = _evaluation([q.name for q in self.of_motion], numbers, *found)
@@ -202,13 +210,14 @@ class ThroughRun:
                 return Run(here, _with_start(here.start, states), stats)
             self.enlargements += 1
 
-    def __call__(self, numbers: Numbers) -> Evaluation:
-        if wrong := _cannot_be(self.scene, numbers):
+    def __call__(self, numbers: Numbers, others: Numbers = NO_NUMBERS) -> Evaluation:
+        if wrong := _cannot_be(self.scene, {**numbers, **others}):
             return wrong
         functions = tuple(q.function for q in self.quantities)
+        scene = self.scene.replace(**others)
         while True:
             division = self.frames, self.steps, self.first, self.enlargements
-            values, slopes, stats = _run_slopes(functions, division, self.scene, _arrays(numbers))
+            values, slopes, stats = _run_slopes(functions, division, scene, _arrays(numbers))
             if stats.status != Status.CAPACITY:
                 break
             self.enlargements += 1

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from derjax import InputError, Scene, SolverError, stability, steady
+from derjax import InputError, Scene, SceneFile, SolverError, build, stability, steady
 
 from .evaluate import Through
+from .motion import SteadyMotion
 from .problem import Designs, Held, Limit, Point, Problem
 from .quantities import Direction, Quantity, from_function, named
 from .search import (
@@ -180,6 +181,10 @@ def problem_of(
         raise InputError(f"begin = {begin:g}: must be within the run, from 0 to its end")
     sign = 1.0 if maximise is not None else -1.0
     variables = variables_of(scene, vary)
+    if uncertain is not None:
+        if unknown := [name for name in uncertain.names if name not in scene.parameters]:
+            raise InputError(f"[uncertain] {unknown[0]}: the scene has no such parameter")
+        scene = scene.replace(**dict(zip(uncertain.names, uncertain.mean.tolist(), strict=True)))
     return Problem(scene, variables, objective, sign, kept, through, begin, held, uncertain)
 
 
@@ -252,6 +257,10 @@ def solved(
 BINDING, EDGE = 1e-4, 1e-6
 """Parts of a limit, and of a variable's range, within which a design is at it."""
 
+NEUTRAL = 1e-5
+"""1/s: growth rates of designs at the limit of their stability are as far from zero as a search
+comes to it."""
+
 
 def _status(attempts: Sequence[Attempt], best: Point) -> str:
     """That of the attempt which came to the best design."""
@@ -272,7 +281,7 @@ def _unstable(designs: Designs, start: Point | None, best: Point) -> Iterator[st
         except SolverError as error:
             yield f"whether {word} is stable could not be told: {error}"
             continue
-        if growth > 0.0:
+        if growth > NEUTRAL:
             yield (
                 f"{word} would not go on like this: its steady state is unstable, with a growth "
                 f"rate of {growth:.3g} 1/s, and buckles. A constraint on growth_rate, of at most "
@@ -318,6 +327,23 @@ def _spread(designs: Designs, best: Point) -> Float[np.ndarray, " c"]:
     found = []
     for draw in problem.uncertain.sample(DRAWS):
         more = dict(zip(problem.uncertain.names, draw.tolist(), strict=True))
-        evaluation = designs.evaluator({**numbers, **more})
+        evaluation = designs.evaluator(numbers, more)
         found.append(evaluation.values.get(problem.objective.name, np.nan))
     return np.array(found)
+
+
+def on_a_finer_mesh(design: Design) -> float:
+    """The objective of the best design with edges half as long; NaN where that is not known.
+
+    Of steady states only: what it costs to be wrong about the mesh is nearly that of a new search.
+    """
+    problem, function = design.problem, design.problem.objective.function
+    if problem.through != "steady" or function is None or problem.uncertain is not None:
+        return float("nan")
+    file = problem.scene.source.file
+    finer = {**file.model_dump(exclude_unset=True)}
+    finer["robot"] = {**finer.get("robot", {}), "edge_length": 0.5 * file.robot.edge_length}
+    state = steady(
+        build(SceneFile.from_dict(finer), {**problem.scene.parameters, **design.numbers})
+    )
+    return float(function(SteadyMotion(state))) if state.ok else float("nan")

@@ -1,6 +1,6 @@
 """A design problem: what may change, what is to be good, and what must be kept to."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -10,7 +10,16 @@ from jaxtyping import Float
 
 from derjax import InputError, Scene
 
-from .evaluate import Evaluation, Evaluator, Through, ThroughRest, ThroughRun, ThroughSteady
+from .evaluate import (
+    NO_NUMBERS,
+    Evaluation,
+    Evaluator,
+    Numbers,
+    Through,
+    ThroughRest,
+    ThroughRun,
+    ThroughSteady,
+)
 from .quantities import Quantity
 from .uncertain import Uncertain
 from .variables import Variables, Vector
@@ -166,10 +175,10 @@ class _AtHeld:
         self.evaluator, self.held = evaluator, held
         self.rpm = float(scene.parameters["rpm"])
 
-    def __call__(self, numbers: Mapping[str, Any]) -> Evaluation:
+    def __call__(self, numbers: Numbers, others: Numbers = NO_NUMBERS) -> Evaluation:
         name, target, rpm = self.held.quantity.name, self.held.value, self.rpm
         for _ in range(MOST_RATES):
-            found = self.evaluator({**numbers, "rpm": rpm})
+            found = self.evaluator({**numbers, "rpm": rpm}, others)
             if not found.ok:
                 return Evaluation({}, {}, f"at {rpm:.6g} rpm: {found.failure}")
             left, slope = found.values[name] - target, float(found.slopes[name]["rpm"])
@@ -259,7 +268,7 @@ class Designs:
             others = [dict(zip(uncertain.names, p, strict=True)) for p in uncertain.points()[0]]
         found = []
         for more in others:
-            evaluation = self.evaluator({**numbers, **more})
+            evaluation = self.evaluator(numbers, more)
             if not evaluation.ok:
                 return failed(x, len(problem.limits) * len(others), evaluation.failure)
             found.append(evaluation)

@@ -21,8 +21,13 @@ REPORT, SCENE, MOTOR = "design.json", "best.toml", "best_motor.csv"
 """Names of files."""
 
 
-def as_dict(design: Design) -> dict[str, Any]:
-    """The design as it is written to design.json; SI units. What is not finite becomes null."""
+def as_dict(design: Design, finer: float = math.nan) -> dict[str, Any]:
+    """The design as it is written to design.json; SI units. What is not finite becomes null.
+
+    Args:
+        design: that has been found.
+        finer: its objective with edges half as long; NaN if that is not known.
+    """
     problem, objective = design.problem, design.problem.objective
     variables = problem.variables
     content = {
@@ -34,6 +39,7 @@ def as_dict(design: Design) -> dict[str, Any]:
             "sense": "maximise" if problem.sign > 0 else "minimise",
             "statistic": statistic(design),
             "value": design.objective,
+            "value_on_a_finer_mesh": finer,
             "start": None if design.start is None else design.start.objective,
         },
         "through": problem.through,
@@ -132,13 +138,17 @@ def _finite(content: Any) -> Any:
     return content
 
 
-def sentences(design: Design) -> list[str]:
-    """The design in words, for the terminal."""
+def sentences(design: Design, finer: float = math.nan) -> list[str]:
+    """The design in words, for the terminal; arguments as of `as_dict`."""
     objective = design.problem.objective
     unit = "" if objective.unit == "1" else f" {objective.unit}"
     before = "" if design.start is None else f" (the start: {design.start.objective:.6g})"
     said = "" if design.problem.uncertain is None else f"{statistic(design)} of "
-    lines = [f"{said}{objective.name} = {design.objective:.6g}{unit}{before}", ""]
+    lines = [f"{said}{objective.name} = {design.objective:.6g}{unit}{before}"]
+    if math.isfinite(finer):
+        off = 100 * (finer / design.objective - 1)
+        lines.append(f"with edges half as long: {finer:.6g}{unit} ({off:+.2g} %)")
+    lines.append("")
     numbers = {n: v for n, v in design.numbers.items() if np.ndim(v) == 0}
     width = max((len(name) for name in numbers), default=0)
     for name, value in numbers.items():
@@ -171,10 +181,10 @@ def sentences(design: Design) -> list[str]:
     return lines
 
 
-def write(design: Design, output: Output) -> list[Path]:
+def write(design: Design, output: Output, finer: float = math.nan) -> list[Path]:
     """Write design.json, and the best design as a scene file; returns their paths."""
     with output.replacing(REPORT) as temporary:
-        text = json.dumps(as_dict(design), indent=2, allow_nan=False)
+        text = json.dumps(as_dict(design, finer), indent=2, allow_nan=False)
         temporary.write_text(text + "\n", encoding="utf-8")
     file: SceneFile = design.problem.scene.source.file
     scene = _on_the_same_mesh(file.with_parameters({**_means(design), **design.numbers}), file)

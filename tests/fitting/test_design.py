@@ -301,7 +301,7 @@ def test_statistics_of_uncertain_parameters(quantile):
 def test_a_cautious_design_gives_up_a_little_of_the_mean(scene):
     """The tenth percentile is less than the mean, and what draws of the parameters say it is."""
     covariance = np.diag([0.3**2, 1e5**2])
-    uncertain = Uncertain(("C_t", "youngs_modulus"), np.array([4.8, 1.255e6]), covariance, 0.1)
+    uncertain = Uncertain(("C_t", "youngs_modulus"), np.array([4.0, 1.255e6]), covariance, 0.1)
     found = design(
         scene,
         {"pitch": PITCH},
@@ -314,6 +314,10 @@ def test_a_cautious_design_gives_up_a_little_of_the_mean(scene):
     assert found.spread.size
     assert np.quantile(found.spread, 0.1) == pytest.approx(found.objective, rel=0.02)
     assert found.objective < found.spread.mean()
+    # The scene that is handed back has the means of the parameters, not those it came with.
+    assert float(found.scene.parameters["C_t"]) == 4.0
+    speed = abs(float(dj.steady(found.scene).speed))
+    assert speed == pytest.approx(found.quantities["speed"], rel=1e-9)
 
 
 def test_a_search_goes_on_where_it_stopped(scene):
@@ -369,11 +373,12 @@ def test_a_design_that_buckles_is_told(scene):
         scene.replace(rpm=150.0),
         {"rpm": (100.0, 300.0)},
         maximise="head_rate",
-        limits={"growth_rate": (None, -0.1)},
+        limits={"growth_rate": (None, 0.0)},
         search=ONE,
     )
-    assert kept.quantities["growth_rate"] == pytest.approx(-0.1, abs=1e-4)
-    assert not kept.warnings
+    assert kept.quantities["growth_rate"] == pytest.approx(0.0, abs=1e-6)
+    assert kept.binding
+    assert not kept.warnings  # at the limit of its stability, it is not beyond it
 
 
 def never(state):
@@ -404,6 +409,10 @@ def in_steps(state):
         ({"maximise": "speed", "vary": {"pitch": (0.06, 0.02)}}, "not in order"),
         ({"maximise": "speed", "vary": {"pich": (0.02, 0.06)}}, "no parameter 'pich'"),
         ({"maximise": "speed", "vary": {}}, "nothing to vary"),
+        (
+            {"maximise": "speed", "uncertain": Uncertain(("c_t",), np.ones(1), np.eye(1))},
+            "c_t: the scene has no such parameter",
+        ),
         ({"maximise": "speed", "limits": {"torque": (2.0, 1.0)}}, "contradict each other"),
         ({"maximise": "speed", "at": ("speed", 1e-3)}, "held at its torque or power"),
         (

@@ -65,6 +65,9 @@ def test_from_the_file_to_the_figures_and_back(folder, capsys):
     report = json.loads((out / "design.json").read_text())
     best = report["objective"]["value"]
     assert best > report["objective"]["start"]
+    # Edges as long as a fifth of a turn are too long, and that is told.
+    assert abs(report["objective"]["value_on_a_finer_mesh"] / best - 1) > 0.02
+    assert "the mesh is coarse" in said.err
     assert report["constraints"][0]["value"] == pytest.approx(1.2e-4, rel=1e-4)
     # The best design is a scene file like any other.
     state = dj.steady(dj.build(dj.load_scene(out / "best.toml")))
