@@ -16,7 +16,7 @@ from .tables import markdown
 SOFT = 1.255e6
 """Pa: the robot's own Young's modulus."""
 
-RATES = (30.0, 60.0, 90.0, 120.0, 150.0, 200.0, 250.0, 300.0)
+RATES = (30.0, 60.0, 90.0, 120.0, 150.0, 175.0, 200.0, 250.0, 300.0)
 
 STABLE = {"growth_rate": (None, 0.0)}
 SEARCH = Search(starts=2)
@@ -43,7 +43,9 @@ def softness(output: Path) -> str:
         f"Best pitch of the robot with one flagellum ({SOFT:.4g} Pa, no inertia, bounds "
         f"{PITCHES[0]:g} and {PITCHES[1]:g} m) for speed, through steady states, without and with "
         "the constraint that these be stable (growth rate at most 0). A rigid robot has "
-        f"{rigid / _radius(robot(RIGID)):.3f} at any rate of the motor. {_binding(table)}\n\n"
+        f"{rigid / _radius(robot(RIGID)):.3f} at any rate of the motor, with the default "
+        f"regularization, {1e3 * float(robot(SOFT).parameters['regularization']):.3f} mm, as here. "
+        f"{_binding(table)}\n\n"
         + markdown(table, formats)
         + "\n![Best pitch over the rate of the motor](design_softness.png)"
     )
@@ -135,6 +137,9 @@ CONTACT_END, CONTACT_BEGIN = 6.0, 3.0
 COARSE = 0.01
 """m: edges of two flagella."""
 
+SCAN = 17
+"""Runs over pitch."""
+
 LONGEST = 900.0
 """s, after which no further rate of the motor is begun."""
 
@@ -169,9 +174,12 @@ def contact(output: Path) -> str:
         "wall time (s)": ".0f",
         "processor time (s)": ".0f",
     }
+    along = _scan(pair(CONTACT_RATES[0]))
+    along.to_csv(output / "design_contact_scan.csv", index=False, float_format="%.6g")
+    _contact_figure(along, rows[0]).savefig(output / "design_contact.png", dpi=150)
     closest = table["clearance (m)"].min()
     says = (
-        "A clearance below zero means contact, which is soft, during the run."
+        "Below zero, flagella touch during the run (contact is soft)."
         if closest < 0.0
         else "All clearances are above zero: at these designs the flagella do not touch."
     )
@@ -180,8 +188,8 @@ def contact(output: Path) -> str:
         f"run from rest, made large by the pitch (from {CONTACT_PITCHES[0]:g} to "
         f"{CONTACT_PITCHES[1]:g} m), with derivatives through the run, contact included. Edges of "
         f"{COARSE:g} m, no inertia. Clearance: the smallest distance between the surfaces of the "
-        f"flagella in the run. {says} Times are of the whole search, the first with "
-        "compilation.\n\n" + markdown(table, formats)
+        f"flagella in the run. {says} Times are of the whole search, "
+        "compilation included.\n\n" + markdown(table, formats)
     )
 
 
