@@ -148,20 +148,26 @@ def _cost_figure(grid: pd.DataFrame, found: Design) -> plt.Figure:
     return fig
 
 
-RATES, PROGRAMME_END, STEP = 50, 4.0, 0.02
+RATES, PROGRAMME_END, STEP, FINER = 50, 4.0, 0.02, 4
 ENERGY = 2e-3
 """J, that the motor may spend."""
+
+
+def programmed(rates: np.ndarray, step: float) -> dj.Scene:
+    """The robot with a programme of its motor, from rest; each step is a frame."""
+    times = np.linspace(0.0, PROGRAMME_END, len(rates))
+    file = dj.robots.single_flagellum(
+        time={"step": step, "end": PROGRAMME_END, "frame": step, "inertia": False}
+    )
+    table = RateTable(time=tuple(times), rpm=tuple(rates))
+    return dj.build(file.model_copy(update={"motor_table": table}))
 
 
 def programme(output: Path) -> str:
     """Fifty rates of a motor, by derivatives in reverse mode."""
     times = np.linspace(0.0, PROGRAMME_END, RATES)
-    start = 60.0 + 30.0 * np.sin(2 * np.pi * times / PROGRAMME_END * 2)
-    table = RateTable(time=tuple(times), rpm=tuple(start))
-    file = dj.robots.single_flagellum(
-        time={"step": STEP, "end": PROGRAMME_END, "frame": 4 * STEP, "inertia": False}
-    )
-    scene = dj.build(file.model_copy(update={"motor_table": table}))
+    start = 60.0 + 30.0 * np.sin(4 * np.pi * times / PROGRAMME_END)
+    scene = programmed(start, STEP)
     vary, limits = {"rpm": (0.0, 150.0)}, {"energy": (None, ENERGY)}
     problem = problem_of(scene, vary, "distance", None, limits, through="run")
     costs = _costs(problem.evaluator(), start)
@@ -180,11 +186,19 @@ def programme(output: Path) -> str:
             {"programme": "best", **_achieved(found.quantities)},
         ]
     )
+    finer = problem_of(
+        programmed(start, STEP / FINER), vary, "distance", None, limits, through="run"
+    ).evaluator()
+    of_each = (start, np.full(RATES, even["rpm"]), found.values["rpm"])
+    for row, rates_of in enumerate(of_each):
+        for name, value in _achieved(finer({"rpm": rates_of}).values).items():
+            went.loc[row, f"{name}, finer"] = value
     return (
         f"Rates of the motor of the robot with one flagellum at {RATES} times in "
         f"{PROGRAMME_END:g} s ({round(PROGRAMME_END / STEP)} steps, no inertia), linear in "
-        f"between, for the distance on an energy of at most {ENERGY:g} J.\n\n"
-        + markdown(went, {"programme": "", "distance (m)": ".6e", "energy (J)": ".6e"})
+        f"between, for the distance on an energy of at most {ENERGY:g} J. Finer: with steps of "
+        f"1/{FINER} of the length, of which the energy is a sum as well.\n\n"
+        + markdown(went, {"programme": "", **dict.fromkeys(went.columns[1:], ".6e")})
         + f"\nThe search ({found.status}) looks at {len(found.points)} programmes in {wall:.0f} s."
         " Values and derivatives by all rates against the run alone (medians of five, "
         "processor time, once compiled; peak memory of temporaries by XLA's own count):\n\n"

@@ -33,6 +33,9 @@ PITCHES = (0.02, 0.08)
 KNOWN_SWIMMERS = {1: 5.46, 2: 5.66}
 """Best pitch / radius by the number of flagella."""
 
+KNOWN_SPEEDS = {1: 0.506e-3 * RPM / 50, 2: 0.922e-3 * RPM / 50}
+"""m/s there."""
+
 SWIMMER_EDGES = 160
 REGULARIZATION = 0.167e-3
 """m, of the fluid around rigid robots: what the known optima are for."""
@@ -100,6 +103,7 @@ def swimmers(output: Path) -> str:
         "known": ".2f",
         "speed (m/s)": ".5e",
         "at known (m/s)": ".5e",
+        "known (m/s)": ".4e",
         "lost (%)": ".4f",
         "1 % less at +-": ".2f",
     }
@@ -128,6 +132,7 @@ def _swimmer(says: str, flagella: int, found: Design) -> dict:
         "pitch / radius": found.values["pitch"] / radius,
         "known": KNOWN_SWIMMERS[flagella],
         "speed (m/s)": found.objective,
+        "known (m/s)": KNOWN_SPEEDS[flagella],
         "1 % less at +-": found.sensitivities["pitch"].tolerance / radius,
     }
 
@@ -178,7 +183,17 @@ INFINITE: dict[str, tuple[Objective, float, float]] = {
 
 def helices(output: Path) -> str:
     """Optimal rigid helices without head."""
-    long = pd.DataFrame([_long(name, turns) for name in INFINITE for turns in TURNS])
+    rows = []
+    for name in INFINITE:
+        finite = [_long(name, turns) for turns in TURNS]
+        ends = {k: 2 * finite[-1][k] - finite[-2][k] for k in ("tangent", "value")}
+        rows += [*finite, finite[-1] | ends | {"turns": "extrapolated"}]
+    long = pd.DataFrame(rows)
+    for off, of, true in (
+        ("off (%)", "tangent", "infinite"),
+        ("value off (%)", "value", "value, infinite"),
+    ):
+        long[off] = 100 * (long[of] / long[true] - 1)
     long.to_csv(output / "design_long_helices.csv", index=False, float_format="%.6g")
     alone = pd.DataFrame([_alone(name) for name in ALONE])
     alone.to_csv(output / "design_helix.csv", index=False, float_format="%.6g")
@@ -187,12 +202,14 @@ def helices(output: Path) -> str:
         f"{ACROSS:g} times that along it, the angle of an infinite helix that is best for "
         "something, and what it achieves, are known in closed form. The best pitch of helices of "
         f"some turns (counted at 45 degrees; {EDGES_PER_TURN} edges a turn, axial length fixed) "
-        "tends to that; the tangent is that of the angle between filament and axis.\n\n"
+        "tends to that; the tangent is that of the angle between filament and axis. Extrapolated: "
+        "from 8 and 16 turns, with errors like one over the number of turns; what is left is that "
+        "a turn is a polygon.\n\n"
         + markdown(
             long,
             {
                 "best for": "",
-                "turns": "d",
+                "turns": "",
                 "tangent": ".4f",
                 "infinite": ".4f",
                 "off (%)": ".2f",
@@ -243,16 +260,13 @@ def _long(name: str, turns: int) -> dict:
         through="rest",
         search=Search(starts=1),
     )
-    best = turn / found.values["pitch"]
     return {
         "best for": name,
-        "turns": turns,
-        "tangent": best,
+        "turns": f"{turns}",
+        "tangent": turn / found.values["pitch"],
         "infinite": tangent,
-        "off (%)": 100 * (best / tangent - 1),
         "value": found.objective,
         "value, infinite": value,
-        "value off (%)": 100 * (found.objective / value - 1),
     }
 
 
