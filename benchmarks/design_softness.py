@@ -9,6 +9,7 @@ import pandas as pd
 
 import derjax as dj
 from fitting.design import Design, Search, design
+from fitting.design.outcome import problem_of
 
 from .design_rigid import PITCHES, RIGID, robot
 from .tables import markdown
@@ -189,8 +190,44 @@ def contact(output: Path) -> str:
         f"{CONTACT_PITCHES[1]:g} m), with derivatives through the run, contact included. Edges of "
         f"{COARSE:g} m, no inertia. Clearance: the smallest distance between the surfaces of the "
         f"flagella in the run. {says} Times are of the whole search, "
-        "compilation included.\n\n" + markdown(table, formats)
+        "compilation included.\n\n"
+        + markdown(table, formats)
+        + f"\nThe figure has runs at {SCAN} pitches and {CONTACT_RATES[0]:g} rpm.\n\n"
+        "![Speed and clearance over pitch](design_contact.png)"
     )
+
+
+def _scan(scene: dj.Scene) -> pd.DataFrame:
+    """Speed and clearance over pitch."""
+    limits = {"clearance": (-1.0, None)}
+    vary = {"pitch": CONTACT_PITCHES}
+    evaluate = problem_of(
+        scene, vary, "speed", None, limits, through="run", begin=CONTACT_BEGIN
+    ).evaluator()
+    rows = []
+    for pitch in np.linspace(*CONTACT_PITCHES, SCAN):
+        found = evaluate({"pitch": pitch})
+        rows.append({"pitch / radius": pitch / _radius(scene), **found.values})
+    return pd.DataFrame(rows)
+
+
+def _contact_figure(along: pd.DataFrame, best: dict) -> plt.Figure:
+    fig, (above, below) = plt.subplots(
+        2, 1, figsize=(6.5, 5), sharex=True, height_ratios=(3, 2), layout="constrained"
+    )
+    x = along["pitch / radius"]
+    above.plot(x, 1e3 * along["speed"], "o-", color="C0", ms=4, label="runs")
+    place = best["pitch / radius"]
+    above.plot(place, 1e3 * best["speed (m/s)"], "*", color="C3", ms=14, label="design")
+    above.set(ylabel="speed, mm/s")
+    above.legend(fontsize=8)
+    below.plot(x, 1e3 * along["clearance"], "o-", color="C0", ms=4)
+    below.plot(place, 1e3 * best["clearance (m)"], "*", color="C3", ms=14)
+    below.axhline(0.0, color="0.3", lw=0.8)
+    below.set(xlabel="pitch / radius", ylabel="clearance, mm")
+    for axes in (above, below):
+        axes.grid(alpha=0.3)
+    return fig
 
 
 def _pair_at(rpm: float) -> dict:
