@@ -25,8 +25,8 @@ PARTS: dict[str, tuple[str, Callable[[Path], str]]] = {
 """Title, and what makes tables and figures in a directory and says what was found."""
 
 HEADING = (
-    "# Design by gradients\n\n`python -m benchmarks.design`: SI units. Wall times are as long as the "
-    "machine, two cores, took with whatever else it did; processor times leave that out.\n"
+    "# Design by gradients\n\n`python -m benchmarks.design`: SI units. Wall times are as long as "
+    "the machine, two cores, took with whatever else it did; processor times leave that out.\n"
 )
 
 
