@@ -395,3 +395,15 @@ def test_a_mirrored_helix_pushes_the_other_way():
     # a right-handed screw that turns about +x advances to +x: the drag, which is minus this
     # matrix times the motion, pushes it there
     assert right[0, 3] == pytest.approx(-6.2066, rel=1e-3)
+
+
+@pytest.mark.parametrize("drag_matrix", ["symmetric", "collocation"])
+def test_resistance_of_a_helix_has_exact_derivatives(drag_matrix):
+    def thrust(pitch):
+        nodes = helix(1.0, pitch, 8.0, 24, "left")
+        resistance = stokeslet_resistance(nodes, 1.0, 0.1, drag_matrix=drag_matrix)
+        return rigid_resistance(nodes, resistance)[0, 3]
+
+    slope = jax.jit(jax.grad(thrust))(4.0)
+    seen = (thrust(4.0 + 1e-4) - thrust(4.0 - 1e-4)) / 2e-4
+    assert float(slope) == pytest.approx(float(seen), rel=1e-6)

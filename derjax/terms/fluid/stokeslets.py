@@ -188,8 +188,11 @@ class StokesletSegments(Term):
         return self.viscosity, self.regularization, self.end_nodes, self.domain
 
     def resistance(self, x: Float[Array, "n 3"]) -> Float[Array, "3m 3m"]:
-        """Matrix (N s/m) that takes velocities of the solved nodes to the drag on them."""
-        return self._resistance(x).matrix()
+        """Matrix (N s/m) that takes velocities of the solved nodes to the drag on them.
+
+        Differentiable, unlike the matrix of `prepare`, whose derivatives only products have.
+        """
+        return Resistance(self, x, jnp.linalg.inv(self.mobility(x)), jnp.ones(())).matrix()
 
     def _resistance(self, x: Float[Array, "n 3"]) -> "Resistance":
         inverse = jnp.linalg.inv(lax.stop_gradient(self.mobility(x)))
