@@ -21,6 +21,7 @@ LARGER: dict[str, tuple[float, str]] = {
     "test_orbit.py": (110.0, "derivatives of turns, of one and of two flagella"),
     "test_equilibrium.py": (85.0, "rods under four kinds of load, each a program of its own"),
     "test_readme.py": (110.0, "the calibration that README promises, on its own mesh"),
+    "fitting/test_design.py": (240.0, "derivatives of steady states, runs and eigenvalues"),
     "test_notebooks.py": (
         270.0,
         "six notebooks, each in a process of its own and compiling its own",
