@@ -16,7 +16,7 @@ from fitting.design import Design, Search
 from fitting.design.evaluate import ThroughRun, _arrays, _march, _run_slopes
 from fitting.design.landscape import landscape
 from fitting.design.outcome import problem_of, solved
-from fitting.design.problem import Designs
+from fitting.design.problem import KEPT, Designs
 
 from .design_rigid import robot
 from .design_softness import SOFT
@@ -47,7 +47,8 @@ def cost(output: Path) -> str:
     found, wall, spent = timed(lambda: solved(Designs(problem), search))
     _, _, alone = timed(lambda: solved(Designs(problem), Search(starts=1)))
     seconds, numbers = _runs(scene), problem.variables.numbers
-    grid, grid_wall, _ = timed(lambda: landscape(Designs(problem), found.best, GRID, _never))
+    grid, grid_wall, _ = timed(lambda: landscape(Designs(problem), found.best, GRID))
+    grid["kept"] = grid.pop("margin") >= -KEPT
     grid.to_csv(output / "design_cost.csv", index=False, float_format="%.6g")
     kept = grid.loc[grid["kept"]]
     best = kept.loc[kept["objective"].idxmax()]
@@ -104,10 +105,6 @@ def cost(output: Path) -> str:
         )
         + "\n![Speed over pitch and radius](design_cost.png)"
     )
-
-
-def _never() -> bool:
-    return False
 
 
 def _runs(scene: dj.Scene) -> dict[str, list[float]]:

@@ -138,8 +138,9 @@ def _draw(
     drawn = {}
     if file.landscape > 1 and file.problem.variables.size <= MOST_DRAWN:
         printer.say("looking around the best design ...")
-        around = landscape(designs, design.best, file.landscape, stopping)
-        if stopping():
+        try:
+            around = landscape(designs, design.best, file.landscape)
+        except Stop:
             return []
         with output.replacing("landscape.csv") as temporary:
             around.to_csv(temporary, index=False)

@@ -1,6 +1,5 @@
 """The objective around the best design, and a figure of it with the way of the search."""
 
-from collections.abc import Callable
 from typing import Any
 
 import matplotlib as mpl
@@ -21,16 +20,13 @@ MOST_SLICES = 6
 """Variables along which the objective is drawn."""
 
 
-def landscape(
-    designs: Designs, best: Point, count: int, stopping: Callable[[], bool]
-) -> pd.DataFrame:
+def landscape(designs: Designs, best: Point, count: int) -> pd.DataFrame:
     """The objective around the best design: over one or two variables, or along each of several.
 
     Args:
         designs: that look at designs.
         best: through which slices go.
         count: points along each variable.
-        stopping: asked after every design whether to stop.
 
     Returns:
         A row for each design: the variables by label, the objective, the smallest margin to a
@@ -51,8 +47,6 @@ def landscape(
                 places.append((label, x))
     rows = []
     for label, x in places:
-        if stopping():
-            break
         point = designs(x)
         numbers = dict(zip(labels, variables.offset + variables.scale * x, strict=True))
         left = float(np.min(designs.margins(point), initial=np.inf)) if point.ok else -np.inf

@@ -1,5 +1,6 @@
 """Designing a robot: from a problem to its best design, and what that is worth."""
 
+import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +17,7 @@ from .quantities import Direction, Quantity, from_function, named
 from .search import (
     Attempt,
     Search,
+    Stop,
     attempted,
     contradiction,
     nearest_to_limits,
@@ -220,37 +222,47 @@ def solved(
         KeyboardInterrupt: it was stopped before there was a design that keeps to all limits.
         SolverError: no start can be simulated.
     """
-    attempts = searched(designs, search, on_attempt)
-    stopped = not attempts or attempts[-1].status == "interrupted"
-    if designs.best() is None and not stopped:
-        nearest = nearest_to_limits(designs, search.most)
-        if not designs.keeps(nearest):
-            raise InputError(f"[constraints]: {contradiction(designs, nearest)}")
-        attempts.append(attempted(designs, search, nearest))
-        on_attempt(len(attempts) - 1, attempts[-1])
+    problem, attempts = designs.problem, list[Attempt]()
+    sensitivities, spread, told, stopped = {}, np.zeros(0), (), True
+
+    def ended(attempt: Attempt) -> None:
+        attempts.append(attempt)
+        on_attempt(len(attempts) - 1, attempt)
+
+    with contextlib.suppress(Stop, KeyboardInterrupt):
+        for attempt in searched(designs, search):
+            ended(attempt)
+        if designs.best() is None:
+            nearest = nearest_to_limits(designs, search.most)
+            if not designs.keeps(nearest):
+                raise InputError(f"[constraints]: {contradiction(designs, nearest)}")
+            ended(attempted(designs, search, nearest))
+        if (best := designs.best()) is not None:
+            sensitivities = _sensitivities(designs, best)
+            spread = _spread(designs, best)
+            told = tuple(_unstable(designs, attempts[0].start, best))
+            stopped = False
     best = designs.best()
     if best is None:
         raise KeyboardInterrupt
-    problem = designs.problem
     at_limit = designs.margins(best) < BINDING
     binding = [str(side) for side, at in zip(designs.sides, at_limit, strict=True) if at]
     at_bound = np.minimum(best.x, 1 - best.x) < EDGE
-    start = attempts[0].start if attempts and attempts[0].start.ok else None
     return Design(
         problem=problem,
         values=problem.variables.numbers(best.x),
         objective=best.objective,
         quantities=best.values,
-        start=start,
+        start=attempts[0].start if attempts and attempts[0].start.ok else None,
         best=best,
         binding=tuple(dict.fromkeys(binding)),
         at_bounds=tuple(np.array(problem.variables.labels)[at_bound].tolist()),
         attempts=tuple(attempts),
         points=tuple(designs.points.values()),
         status="interrupted" if stopped else _status(attempts, best),
-        sensitivities={} if stopped else _sensitivities(designs, best),
-        spread=np.zeros(0) if stopped else _spread(designs, best),
-        warnings=() if stopped else tuple(_unstable(designs, start, best)),
+        sensitivities=sensitivities,
+        spread=spread,
+        warnings=told,
     )
 
 
@@ -267,13 +279,13 @@ def _status(attempts: Sequence[Attempt], best: Point) -> str:
     return next((a.status for a in attempts if a.end is best), "converged")
 
 
-def _unstable(designs: Designs, start: Point | None, best: Point) -> Iterator[str]:
+def _unstable(designs: Designs, start: Point, best: Point) -> Iterator[str]:
     """Sentences on steady states that would not last."""
     problem = designs.problem
     if problem.through != "steady" or not problem.scene.rod.topology.motors:
         return
     for word, point in (("the start", start), ("the best design", best)):
-        if point is None:
+        if not point.ok:
             continue
         state = steady(problem.scene.replace(**designs.numbers(point)))
         try:

@@ -5,7 +5,7 @@ quantities with limits over these. A design that fails counts as bad, so that a 
 there is shortened.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -108,36 +108,29 @@ def starts_of(designs: Designs, search: Search) -> list[Vector]:
     return [first, *spread[: search.starts - 1]]
 
 
-def searched(
-    designs: Designs,
-    search: Search,
-    on_attempt: Callable[[int, Attempt], None] = lambda number, attempt: None,
-) -> list[Attempt]:
-    """The search from every start.
+def searched(designs: Designs, search: Search) -> Iterator[Attempt]:
+    """What comes of every start, one after the other.
 
     Raises:
         InputError: variables without effect, or a method that cannot take limits.
         SolverError: every start fails.
+        Stop: one of the designs has asked for it.
     """
     if search.method == "adam" and designs.problem.limits:
         raise InputError("[search] method = 'adam': knows no constraints; 'slsqp' does")
-    attempts: list[Attempt] = []
-    checked = False
-    for number, x in enumerate(starts_of(designs, search)):
-        try:
-            start = designs(x)
-        except (Stop, KeyboardInterrupt):
-            break
+    failures, checked = [], False
+    for x in starts_of(designs, search):
+        start = designs(x)
         if start.ok and not checked:
             check_effects(designs.problem, start)
             checked = True
-        attempts.append(attempted(designs, search, start))
-        on_attempt(number, attempts[-1])
-        if attempts[-1].status == "interrupted":
-            break
-    if attempts and not any(attempt.start.ok for attempt in attempts):
-        raise SolverError(f"every start fails; the scene as it is: {attempts[0].message}")
-    return attempts
+        failures += [] if start.ok else [start.failure]
+        attempt = attempted(designs, search, start)
+        yield attempt
+        if attempt.status == "interrupted":
+            raise Stop
+    if not checked:
+        raise SolverError(f"every start fails; the scene as it is: {failures[0]}")
 
 
 def attempted(designs: Designs, search: Search, start: Point) -> Attempt:

@@ -351,6 +351,24 @@ def test_a_search_goes_on_where_it_stopped(scene):
     assert not known & {point.x.tobytes() for point in more}
 
 
+def test_a_search_that_stops_between_starts_is_interrupted(scene):
+    """And has the best of the first."""
+    problem = problem_of(scene, {"pitch": PITCH}, "speed", None)
+    ends = []
+
+    def after_the_first(point):
+        if ends:
+            raise Stop
+
+    found = solved(
+        Designs(problem, on_point=after_the_first),
+        Search(starts=3),
+        lambda number, attempt: ends.append(attempt.end.objective),
+    )
+    assert found.status == "interrupted"
+    assert ends == [found.objective]
+
+
 @pytest.mark.parametrize("method", ["trust-constr", "adam"])
 def test_other_optimisers_find_the_same(scene, method):
     search = Search(method, starts=1, most=60, tolerance=1e-8)
