@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
@@ -13,7 +14,7 @@ import pandas as pd
 import derjax as dj
 from derjax.scenes.motortable import RateTable
 from fitting.design import Design, Search
-from fitting.design.evaluate import ThroughRun, _arrays, _march, _run_slopes
+from fitting.design.evaluate import ThroughRun, run_slopes
 from fitting.design.landscape import landscape
 from fitting.design.outcome import problem_of, solved
 from fitting.design.problem import KEPT, Designs
@@ -221,16 +222,17 @@ def _achieved(values: dict[str, float]) -> dict[str, float]:
 
 def _costs(evaluate: ThroughRun, rates: np.ndarray) -> pd.DataFrame:
     """Processor time and memory of a run, and of values with derivatives."""
-    scene, numbers = evaluate.scene, _arrays({"rpm": rates})
+    scene, numbers = evaluate.scene, {"rpm": jnp.asarray(rates)}
     here = scene.replace(**numbers)
-    division = evaluate.frames, evaluate.steps, evaluate.first, evaluate.enlargements
+    division = evaluate.first, evaluate.enlargements
+    alone = jax.jit(lambda scene: dj.rollout(scene, reverse_mode=False))
     one, both = (tuple(q.function for q in evaluate.quantities[:n]) for n in (1, 2))
     programs = {
-        "the run alone": _march.lower(here, here.start, evaluate.frames, evaluate.steps),
-        "distance, and its derivatives": _run_slopes.lower(one, division, scene, numbers),
-        "distance and energy, and theirs": _run_slopes.lower(both, division, scene, numbers),
+        "the run alone": alone.lower(here),
+        "distance, and its derivatives": run_slopes.lower(one, *division, scene, numbers),
+        "distance and energy, and theirs": run_slopes.lower(both, *division, scene, numbers),
     }
-    given = [(here, here.start), (scene, numbers), (scene, numbers)]
+    given = [(here,), (scene, numbers), (scene, numbers)]
     rows = []
     for (name, lowered), arguments in zip(programs.items(), given, strict=True):
         compiled = lowered.compile()

@@ -19,20 +19,17 @@ from jaxtyping import Array, Float
 
 from derjax import (
     InputError,
-    Run,
     Scene,
     SolverError,
     Status,
     Steady,
-    march_frames,
-    roll_frames,
+    rollout,
     stability,
     steady,
     threshold,
 )
 from derjax.integrate.frames import RolloutStats
 from derjax.integrate.step import enlarge
-from derjax.rods.rod import State
 from derjax.steady.solve import steady_as
 from derjax.steady.stability import growth_slopes
 
@@ -44,6 +41,12 @@ Numbers = Mapping[str, Any]
 """Parameters of a scene by name: single numbers, or arrays."""
 
 NO_NUMBERS: Numbers = MappingProxyType({})
+
+Functions = tuple[Callable[[Any], Array], ...]
+"""Of a motion, to one number each."""
+
+Slopes = tuple[Float[Array, " q"], dict[str, Array]]
+"""Values of functions, and their derivatives by numbers, with a leading axis of functions."""
 
 REVERSE_COSTS = 12
 """Derivatives by so many numbers in forward mode cost what those of one quantity cost in reverse
@@ -95,16 +98,8 @@ class ThroughRest:
 
 
 @partial(jax.jit, static_argnums=0)
-def _rest_slopes(
-    functions: tuple[Callable[[Any], Array], ...], scene: Scene, numbers: dict[str, Array]
-) -> tuple[Float[Array, " q"], dict[str, Array]]:
-    def of(numbers: dict[str, Array]) -> tuple[Array, Array]:
-        rest = Rest(scene.replace(**numbers))
-        values = jnp.stack([function(rest) for function in functions])
-        return values, values
-
-    slopes, values = jax.jacfwd(of, has_aux=True)(numbers)
-    return values, slopes
+def _rest_slopes(functions: Functions, scene: Scene, numbers: dict[str, Array]) -> Slopes:
+    return _in_forward_mode(functions, lambda p: Rest(scene.replace(**p)), numbers)
 
 
 class ThroughSteady:
@@ -173,12 +168,21 @@ def _apart(a: np.ndarray, b: np.ndarray) -> float:
 
 
 @partial(jax.jit, static_argnums=0)
-def _steady_slopes(
-    functions: tuple[Callable[[Any], Array], ...], state: Steady, numbers: dict[str, Array]
-) -> tuple[Float[Array, " q"], dict[str, Array]]:
+def _steady_slopes(functions: Functions, state: Steady, numbers: dict[str, Array]) -> Slopes:
+    def motion(p: dict[str, Array]) -> SteadyMotion:
+        return SteadyMotion(steady_as(state.scene.replace(**p), state))
+
+    return _in_forward_mode(functions, motion, numbers)
+
+
+def _in_forward_mode(
+    functions: Functions, motion: Callable[[dict[str, Array]], Any], numbers: dict[str, Array]
+) -> Slopes:
+    """Functions of a motion, and their derivatives by the numbers that it is of."""
+
     def of(numbers: dict[str, Array]) -> tuple[Array, Array]:
-        motion = SteadyMotion(steady_as(state.scene.replace(**numbers), state))
-        values = jnp.stack([function(motion) for function in functions])
+        found = motion(numbers)
+        values = jnp.stack([function(found) for function in functions])
         return values, values
 
     slopes, values = jax.jacfwd(of, has_aux=True)(numbers)
@@ -197,18 +201,8 @@ class ThroughRun:
     def __init__(self, scene: Scene, quantities: Sequence[Quantity], begin: float) -> None:
         file = scene.source.file
         self.scene, self.quantities = scene, quantities
-        self.frames, self.steps = file.n_frames, file.steps_per_frame
-        self.first = min(round(begin / (file.step * file.steps_per_frame)), self.frames - 1)
+        self.first = min(round(begin / (file.step * file.steps_per_frame)), file.n_frames - 1)
         self.enlargements = 0
-
-    def run(self, numbers: Numbers) -> Run:
-        """The run of a design, without derivatives."""
-        while True:
-            here = _scene_of(self.scene, self.enlargements, numbers)
-            states, stats = _march(here, here.start, self.frames, self.steps)
-            if stats.status != Status.CAPACITY:
-                return Run(here, _with_start(here.start, states), stats)
-            self.enlargements += 1
 
     def __call__(self, numbers: Numbers, others: Numbers = NO_NUMBERS) -> Evaluation:
         if wrong := _cannot_be(self.scene, {**numbers, **others}):
@@ -216,8 +210,9 @@ class ThroughRun:
         functions = tuple(q.function for q in self.quantities)
         scene = self.scene.replace(**others)
         while True:
-            division = self.frames, self.steps, self.first, self.enlargements
-            values, slopes, stats = _run_slopes(functions, division, scene, _arrays(numbers))
+            values, slopes, stats = run_slopes(
+                functions, self.first, self.enlargements, scene, _arrays(numbers)
+            )
             if stats.status != Status.CAPACITY:
                 break
             self.enlargements += 1
@@ -226,27 +221,29 @@ class ThroughRun:
         return _evaluation([q.name for q in self.quantities], numbers, values, slopes)
 
 
-_march = jax.jit(march_frames, static_argnums=(2, 3))
-
-
-@partial(jax.jit, static_argnums=(0, 1))
-def _run_slopes(
-    functions: tuple[Callable[[Any], Array], ...],
-    division: tuple[int, int, int, int],
-    scene: Scene,
-    numbers: dict[str, Array],
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def run_slopes(
+    functions: Functions, first: int, enlargements: int, scene: Scene, numbers: dict[str, Array]
 ) -> tuple[Float[Array, " q"], dict[str, Array], RolloutStats]:
-    n_frames, steps, first, enlargements = division
+    """Functions of a run, their derivatives by some numbers, and how the steps went.
+
+    Args:
+        functions: of a `RunMotion`.
+        first: the frame from which on means are taken.
+        enlargements: how often lists of contacts are made twice as long.
+        scene: built from a scene file.
+        numbers: that are replaced, and differentiated by.
+    """
     entries = sum(leaf.size for leaf in jax.tree.leaves(numbers))
     forward = entries <= REVERSE_COSTS * len(functions)
-    program = march_frames if forward else roll_frames
 
     def of(numbers: dict[str, Array]) -> tuple[Array, tuple[Array, RolloutStats]]:
-        here = _scene_of(scene, enlargements, numbers)
-        states, stats = program(here, here.start, n_frames, steps)
-        motion = RunMotion(Run(here, _with_start(here.start, states), stats), first)
-        values = jnp.stack([function(motion) for function in functions])
-        return values, (values, stats)
+        here = scene.replace(**numbers)
+        for _ in range(enlargements):
+            here = enlarge(here)
+        run = rollout(here, reverse_mode=not forward)
+        values = jnp.stack([function(RunMotion(run, first)) for function in functions])
+        return values, (values, run.stats)
 
     if forward:
         slopes, (values, stats) = jax.jacfwd(of, has_aux=True)(numbers)
@@ -254,18 +251,6 @@ def _run_slopes(
     values, back, (_, stats) = jax.vjp(of, numbers, has_aux=True)
     (slopes,) = lax.map(back, jnp.eye(len(functions)))  # one after the other: memory for one
     return values, slopes, stats
-
-
-def _scene_of(scene: Scene, enlargements: int, numbers: Numbers) -> Scene:
-    """With some numbers, and longer lists of contacts."""
-    here = scene.replace(**numbers)
-    for _ in range(enlargements):
-        here = enlarge(here)
-    return here
-
-
-def _with_start(start: State, states: State) -> State:
-    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, states)
 
 
 def _arrays(numbers: Numbers) -> dict[str, Array]:

@@ -7,10 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from derjax import Run, Scene, positions, steady, steady_run
+from derjax import Run, Scene, positions, rollout, steady, steady_run
 from derjax.results.plots import FLAGELLUM, HEAD, MM, STYLE
 
-from .evaluate import ThroughRun
 from .landscape import label_of, values_of
 from .outcome import Design
 from .report import statistic
@@ -108,5 +107,4 @@ def film(design: Design) -> Run:
         state = steady(design.scene)
         rate = abs(float(state.motor_rate)) or 1.0
         return steady_run(state, jnp.linspace(0.0, FILM_TURNS * 2 * np.pi / rate, FILM_FRAMES))
-    evaluator = ThroughRun(design.problem.scene, (), design.problem.begin)
-    return evaluator.run(design.numbers)
+    return rollout(design.scene, reverse_mode=False)
