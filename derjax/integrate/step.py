@@ -33,7 +33,7 @@ from ..solve.potential import Potential, assemble
 from ..solve.saddle import SaddlePointSystem, no_drag
 from ..terms.term import Prediction, Stage, Term, contributions
 from .motor import Motor
-from .predictor import expected_velocity, with_step
+from .predictor import expected_displacement, with_step
 from .provenance import CheckSums, changed, for_enlarged
 from .step_size import StepSizeController
 
@@ -207,14 +207,9 @@ def _short(value: Any) -> str:
     return f"{float(value):.6g}" if np.ndim(value) == 0 else f"array of shape {np.shape(value)}"
 
 
-def predicted_velocity(scene: Scene, state: State, ahead: Array) -> Dofs:
-    """The velocity (m/s, rad/s) some time (s) ahead, if motion goes on as it did."""
-    return expected_velocity(state, ahead, scene.newton.force_scale)
-
-
 def predicted_displacement(scene: Scene, state: State, ahead: Array) -> Dofs:
     """How far (m, rad) the rod goes in some time (s), if motion goes on as it did."""
-    return ahead * predicted_velocity(scene, state, 0.5 * ahead)
+    return expected_displacement(scene.rod.topology, state, ahead, scene.newton.force_scale)
 
 
 def predict(scene: Scene, state: State, ahead: Array, length: Array) -> Prediction:

@@ -93,17 +93,12 @@ class History:
     """How a rod has moved in its last steps: what `integrate.predictor` makes and asks for.
 
     Attributes:
-        mean_velocity: (d,) m/s and rad/s over the step just taken.
-        mean_acceleration: (d,) m/s^2 and rad/s^2, from the middle of the step before to that of
-            the step just taken.
-        jerk: (d,) m/s^3 and rad/s^3, likewise.
-        length: s, of the step just taken; 0 before the first.
+        moves: (3, d) m and rad, by which the last steps have displaced it, the latest first.
+        lengths: (3,) s, of these steps; 0 for those before the start.
     """
 
-    mean_velocity: Float[Array, " d"]
-    mean_acceleration: Float[Array, " d"]
-    jerk: Float[Array, " d"]
-    length: Float[Array, ""]
+    moves: Float[Array, "3 d"]
+    lengths: Float[Array, " 3"]
 
 
 @pytree
@@ -139,8 +134,8 @@ class State:
 
 def no_history(q: Float[Array, "*b d"]) -> History:
     """The history of a rod at `q` that has not moved yet."""
-    still = jnp.zeros_like(q)
-    return History(still, still, still, jnp.zeros(q.shape[:-1]))
+    *batch, d = q.shape
+    return History(jnp.zeros((*batch, 3, d)), jnp.zeros((*batch, 3)))
 
 
 def at_rest(topology: Topology, nodes: Float[Array, "n 3"]) -> tuple[Rod, State]:
@@ -197,12 +192,7 @@ def moved(
         velocity=turned(state.velocity),
         acceleration=turned(state.acceleration),
         reference_director=state.reference_director @ turn.T,
-        history=replace(
-            history,
-            mean_velocity=turned(history.mean_velocity),
-            mean_acceleration=turned(history.mean_acceleration),
-            jerk=turned(history.jerk),
-        ),
+        history=replace(history, moves=jax.vmap(turned)(history.moves)),
     )
 
 

@@ -75,3 +75,12 @@ def any_normal(t: Vector) -> Vector:
     smallest = jnp.argmin(jnp.abs(t), axis=-1)
     axis = jnp.eye(3, dtype=t.dtype)[smallest]
     return unit(cross(t, axis))
+
+
+def rotation(turn: Vector) -> Float[Array, "*batch 3 3"]:
+    """The rotation by some angle about some axis, of length 2 tan(angle / 2) (Cayley)."""
+    half = 0.5 * turn
+    squared = dot(half, half)[..., None, None]
+    across = cross(half[..., None, :], jnp.eye(3))
+    across = jnp.swapaxes(across, -1, -2)
+    return jnp.eye(3) + 2.0 / (1.0 + squared) * (across + across @ across)

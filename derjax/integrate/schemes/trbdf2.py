@@ -18,6 +18,7 @@ which has the same order and the same amplification factor.
 """
 
 import math
+import os
 
 import jax.numpy as jnp
 import numpy as np
@@ -37,10 +38,11 @@ from ..step import (
     fluid_velocity,
     motor_rotation,
     predict,
-    predicted_velocity,
+    predicted_displacement,
     solve,
 )
 
+SURP = float(os.environ.get("SURP", "0"))
 D = 1.0 - 1.0 / math.sqrt(2.0)
 W = 0.25 * math.sqrt(2.0)
 
@@ -87,8 +89,8 @@ def trbdf2(scene: Scene, state: State, length: Array) -> Step:
         origin = state.q + known * state.velocity + found * before.velocity
         pace = state.velocity + known * state.acceleration + found * before.acceleration
         turn = motor_rotation(scene, state, end)
-        expected = predicted_velocity(scene, state, end)
-        move = origin + part * (expected + before.surprise) - state.q
+        expected = predicted_displacement(scene, state, end)
+        move = expected + SURP * before.surprise
         prediction = predict(scene, state, end, length)
         flow = fluid_velocity(scene, prediction.configuration, state.time + end)
         angle = state.motor_angle + turn
@@ -96,7 +98,7 @@ def trbdf2(scene: Scene, state: State, length: Array) -> Step:
         q, how = solve(scene, prediction, state, solved, turn, move)
         velocity = (q - origin) / part
         acceleration = (velocity - pace) / part
-        return (_End(q, velocity, acceleration, velocity - expected), worse(info, how)), None
+        return (_End(q, velocity, acceleration, q - state.q - expected), worse(info, how)), None
 
     # One loop rather than the same program twice: half as long to compile.
     still = jnp.zeros_like(state.q)

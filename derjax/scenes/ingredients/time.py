@@ -100,7 +100,7 @@ class TimeTable(Ingredient):
         position = np.arange(topology.n_dofs) < 3 * topology.n_nodes
         return StepSizeController(
             tolerance=jnp.asarray(self.tolerance),
-            scale=jnp.where(position, contour, 1.0),
+            scale=jnp.where(position, contour, contour / setting.numbers["helix_radius"]),
             shortest=jnp.asarray(SHORTEST * setting.file.step),
             order=1 if self.scheme == "euler" else 2,
         )

@@ -12,11 +12,14 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...core.pytree import Indices, pytree, static
 from ...core.status import Status
+from ...rods.bodies import bodies, turns
 from ...rods.kinematics import positions
 from ...rods.rod import Rod, State
 from ...rods.topology import Topology
+from ...rods.vectors import dot, rotation
 from ...solve.contributions import Dofs
-from .segments import distance
+from .segments import between, distance
+from .segments import closest as closest_points
 
 PENETRATION = 0.01
 """The part of their diameter by which rods may penetrate each other at the end of a step."""
@@ -170,20 +173,46 @@ class Neighbours:
         """How much of `direction` no pair can get through each other within.
 
         In one go the two edges of a pair may approach by half of their distance at most, and
-        no node may go farther than the search went.
+        no node may go farther than the search went. How two edges approach is how their ends do
+        along the gap between them: a plane that has one edge on either side, before and after,
+        keeps them apart on the way, however far they slide along each other.
         """
 
         def of_the_nearest() -> Array:
             x, move = (lax.stop_gradient(self._nodes(v)) for v in (q, direction))
-            speed = jnp.sqrt(jnp.sum(move * move, axis=1))
-            size = speed[self.nodes]
-            approach = jnp.maximum(size[:, 0], size[:, 1]) + jnp.maximum(size[:, 2], size[:, 3])
-            room = 0.5 * self._distances(x)
-            part = jnp.min(jnp.where(approach > room, room / approach, 1.0), initial=1.0)
-            farthest = jnp.max(speed)
+            pairs = x[self.nodes]
+            gap = between(pairs, *closest_points(pairs))
+            squared = jnp.where(self.mask, dot(gap, gap), jnp.inf)
+            # Of every end of the one against every end of the other.
+            apart, later = (
+                v[:, :2, None] - v[:, None, 2:] for v in (pairs, pairs + move[self.nodes])
+            )
+            closing = self._seen_from_their_body(x, move, later) - apart
+            normal = gap[:, None, None]
+            room = dot(normal, apart) - 0.5 * squared[:, None, None]
+            speed = -dot(normal, closing)
+            part = jnp.min(jnp.where(speed > room, room / speed, 1.0), axis=(1, 2))
+            # Rods whose centre lines nearly cross have no such plane.
+            most = jnp.sqrt(jnp.max(dot(closing, closing), axis=(1, 2)))
+            least = jnp.where(most > 0.0, 0.5 * jnp.sqrt(squared) / most, 1.0)
+            part = jnp.min(jnp.clip(jnp.maximum(part, least), 0.0, 1.0), initial=1.0)
+            farthest = jnp.sqrt(jnp.max(dot(move, move)))
             return jnp.where(part * farthest > self.skin, self.skin / farthest, part)
 
         return lax.cond(self.found > 0, of_the_nearest, lambda: jnp.ones(()))
+
+    def _seen_from_their_body(
+        self, x: Float[Array, "n 3"], move: Float[Array, "n 3"], vectors: Float[Array, "k 2 2 3"]
+    ) -> Float[Array, "k 2 2 3"]:
+        """Vectors between two edges of one body, turned back by how that turns in a move.
+
+        A filament that turns as a whole does not come closer to itself.
+        """
+        body = jnp.asarray(bodies(self.topology))[self.nodes]
+        frames = rotation(turns(self.topology, x + move, move))[body[:, 0]]
+        one = jnp.all(body == body[:, :1], axis=1)[:, None, None]
+        frames = jnp.where(one, frames, jnp.eye(3))
+        return jnp.einsum("kji,kabj->kabi", frames, vectors)
 
     def status(self, q: Dofs) -> Array:
         """Whether the list was too short, or a step that ends at `q` cannot be accepted."""
