@@ -15,8 +15,8 @@ from derjax.scenes.motortable import covers
 from derjax.scenes.timing import time_grid
 
 from .datasetfile import ANGLE_UNITS, LENGTH_UNITS, DatasetFile, RunFile
-from .observe import ANGLE, CHANNELS
-from .reading import read_track
+from .observe import ANGLE
+from .reading import Track, read_track
 
 TYPICAL = 0.02
 """How far robots swim, as a part of the way of a screw with their pitch."""
@@ -37,6 +37,7 @@ class Run:
         free_origin: whether only displacements count, not positions.
         drift: whether the robot also drifts with a steady velocity, which is fitted.
         dropped: frames that are left out as something in them was not tracked.
+        said: what was decided when the track was read, as sentences.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Run:
     free_origin: bool = False
     drift: bool = False
     dropped: int = 0
+    said: tuple[str, ...] = ()
 
     @property
     def is_angle(self) -> np.ndarray:
@@ -88,8 +90,10 @@ def load_dataset(path: str | Path) -> Dataset:
         )
     for described in file.runs:
         _check_rates(path, described, scene)
-    runs = tuple(_read_run(path.parent / run.track, run) for run in file.runs)
-    for run, described in zip(runs, file.runs, strict=True):
+    tracks = [read_track(path.parent / run.track, run) for run in file.runs]
+    runs = tuple(_run(track) for track in tracks)
+    for run, one in zip(runs, tracks, strict=True):
+        described = one.keys
         track = path.parent / described.track
         _check_covered(track, run, scene, described)
         check_plausible(track, run, scene, described)
@@ -106,13 +110,13 @@ def _in_steps_for(runs: tuple[Run, ...], scene: SceneFile) -> SceneFile:
     return scene.model_copy(update={"time": scene.time.model_copy(update={"step": step})})
 
 
-def _read_run(path: Path, run: RunFile) -> Run:
-    track = read_track(path, run)
+def _run(track: Track) -> Run:
+    run = track.keys
     rpm = run.motor_rpm
     return Run(
         name=Path(run.track).stem,
         time=track.time,
-        channels=tuple(CHANNELS.index(channel) for channel in run.columns.tracked),
+        channels=track.channels,
         values=track.values,
         motor_rpm=rpm[0] if isinstance(rpm, tuple) and len(rpm) == 1 else rpm,
         sigma=None if run.sigma is None else run.sigma * LENGTH_UNITS[run.length_unit],
@@ -122,6 +126,7 @@ def _read_run(path: Path, run: RunFile) -> Run:
         free_origin=run.origin == "track",
         drift=run.drift,
         dropped=track.dropped,
+        said=track.said,
     )
 
 
@@ -169,9 +174,7 @@ def check_plausible(path: Path, run: Run, scene: SceneFile, described: RunFile) 
     screw = max(robot.each("pitch")) * np.abs(rpm).max() / 60  # m/s
     duration = run.time[-1] - run.time[0]
     moved = np.linalg.norm(position - position[0], axis=1).max()
-    names = ", ".join(
-        name for channel, name in described.columns.tracked.items() if channel in "xyz"
-    )
+    names = ", ".join(name for channel, name in described.tracked.items() if channel in "xyz")
     if moved > size + screw * duration:
         length_unit = described.length_unit
         would = {unit: moved * m / LENGTH_UNITS[length_unit] for unit, m in LENGTH_UNITS.items()}
