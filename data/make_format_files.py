@@ -1,7 +1,7 @@
 """Makes the files in data/formats: one track, written as each tracking program writes tables.
 
 The track is that of data/reference/single_lambda7_rpm70.csv, one position of the head every 0.4 s.
-It is seen by a camera that looks along z with pixels of 0.05 mm; of some frames there is no position.
+It is seen by a camera that looks along z with pixels of 0.05 mm; in some frames nothing is found.
 Run it from anywhere: `python data/make_format_files.py`.
 """
 
@@ -213,7 +213,8 @@ def deeplabcut(individuals: bool = False) -> str:
 def sleap() -> str:
     """SLEAP's analysis as CSV: empty cells where a point was not found."""
     rows: list[list[object]] = [
-        "track frame_idx instance.score head.x head.y head.score tail.x tail.y tail.score".split()
+        ["track", "frame_idx", "instance.score"]
+        + [f"{node}.{one}" for node in ("head", "tail") for one in ("x", "y", "score")]
     ]
     for f in frames():
         head = ["", "", ""] if f.k in LOST else [f"{f.u:.4f}", f"{f.v:.4f}", "0.94"]

@@ -69,7 +69,9 @@ class Model:
         self.step = dataset.scene.step
         self.rates = [motor_rate(dataset.scene, run) for run in dataset.runs]
         self.steps = [interpolation(run.time, self.step).n_steps for run in dataset.runs]
-        self.simulator = Simulator(dataset.scene, parameters, steps_per_call(max(self.steps)))
+        self.simulator = Simulator(
+            dataset.scene, parameters, steps_per_call(max(self.steps)), dataset.sight
+        )
         self.periods = [_period(dataset, np.asarray(rate)) for rate in self.rates]
         self.work, self.failure = Work(), ""
         self._on_steps, self._lock = on_steps, threading.Lock()

@@ -34,6 +34,7 @@ class Track:
         dropped: how many frames are left out as something in them was not tracked.
         keys: how the table was read, with nothing left open.
         said: what was decided on the way, as sentences.
+        sight: the axis along which the camera looks, of tracks of silhouettes.
     """
 
     time: Float[np.ndarray, " f"]
@@ -42,6 +43,7 @@ class Track:
     dropped: int
     keys: RunFile
     said: tuple[str, ...] = ()
+    sight: int | None = None
 
 
 @dataclass(frozen=True)
@@ -157,7 +159,21 @@ def in_si(settled: Settled, rows: Seen) -> Track:
         _frames_without(rows, within),
         keys,
         (*settled.said, *rows.said),
+        _sight(path, keys, channels),
     )
+
+
+def _sight(path: Path, keys: RunFile, channels: list[int]) -> int | None:
+    """The axis along which the camera looks, if it has followed the silhouette of the robot."""
+    places = set(channels) - {ANGLE}
+    if keys.point == "head" or not places:
+        return None
+    if len(places) != 2:
+        raise InputError(
+            f'{path}: point = "silhouette": a camera sees two coordinates of it, but columns has '
+            f"{len(places)}; name two of x, y, z (the robot's axes are said by axes)"
+        )
+    return ({0, 1, 2} - places).pop()
 
 
 def columns_of(keys: RunFile) -> Columns:

@@ -70,6 +70,7 @@ def as_dict(fit: Fit) -> dict[str, Any]:
                 "rms_head_angle": one.rms.get("head_angle"),
                 "drift_m_per_s": one.drift,
                 "frames_left_out": one.run.dropped,
+                "how_the_track_was_read": list(one.run.said),
             }
             for one in fit.runs
         ],

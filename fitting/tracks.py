@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
-from derjax import SceneFile, build, load_scene, positions
+from derjax import SceneFile, build, load_scene
 from derjax.core.errors import InputError
 from derjax.io.fields import TIME_UNITS
 from derjax.scenes.load import read_toml
@@ -15,7 +16,8 @@ from derjax.scenes.motortable import covers
 from derjax.scenes.timing import time_grid
 
 from .datasetfile import ANGLE_UNITS, LENGTH_UNITS, DatasetFile, RunFile
-from .observe import ANGLE
+from .direction import check_direction
+from .observe import ANGLE, seen
 from .reading import Track, read_track
 
 TYPICAL = 0.02
@@ -38,6 +40,8 @@ class Run:
         drift: whether the robot also drifts with a steady velocity, which is fitted.
         dropped: frames that are left out as something in them was not tracked.
         said: what was decided when the track was read, as sentences.
+        sight: the axis along which the camera looks, if the track is of the robot's silhouette;
+            None if it is of the head.
     """
 
     name: str
@@ -51,6 +55,7 @@ class Run:
     drift: bool = False
     dropped: int = 0
     said: tuple[str, ...] = ()
+    sight: int | None = None
 
     @property
     def is_angle(self) -> np.ndarray:
@@ -71,6 +76,11 @@ class Dataset:
     scene: SceneFile
     runs: tuple[Run, ...]
     path: Path | None = None
+
+    @property
+    def sight(self) -> int | None:
+        """Along which axis all runs with positions see silhouettes; None if they see heads."""
+        return next((run.sight for run in self.runs if not run.is_angle.all()), None)
 
 
 def load_dataset(path: str | Path) -> Dataset:
@@ -97,6 +107,8 @@ def load_dataset(path: str | Path) -> Dataset:
         track = path.parent / described.track
         _check_covered(track, run, scene, described)
         check_plausible(track, run, scene, described)
+        check_direction(track, scene, described, run.time, run.values, run.channels)
+    _check_alike(path, runs)
     return Dataset(_in_steps_for(runs, scene), runs, path)
 
 
@@ -127,7 +139,18 @@ def _run(track: Track) -> Run:
         drift=run.drift,
         dropped=track.dropped,
         said=track.said,
+        sight=track.sight,
     )
+
+
+def _check_alike(path: Path, runs: tuple[Run, ...]) -> None:
+    """`InputError` if some tracks are of heads and others of silhouettes, or from another side."""
+    sights = {run.sight: run.name for run in runs if not run.is_angle.all()}
+    if len(sights) > 1:
+        raise InputError(
+            f"{path}: tracks {', '.join(map(repr, sights.values()))} differ in point, or in the "
+            'side from which the camera sees the silhouette (point = "silhouette"); fit them apart'
+        )
 
 
 def _check_rates(path: Path, run: RunFile, scene: SceneFile) -> None:
@@ -189,7 +212,7 @@ def check_plausible(path: Path, run: Run, scene: SceneFile, described: RunFile) 
         )
     if run.free_origin:
         return
-    start = _start_position(scene)[[c for c in run.channels if c != ANGLE]]
+    start = _start_position(scene, run.sight)[[c for c in run.channels if c != ANGLE]]
     distance = float(np.linalg.norm(position[0] - start))
     if distance > 0.5 * size + screw * run.time[0]:
         raise InputError(
@@ -203,11 +226,12 @@ def robot_length(scene: SceneFile) -> float:
     return max(scene.robot.each("axial_length")) + 4 * scene.robot.edge_length
 
 
-def _start_position(scene: SceneFile) -> np.ndarray:
-    """(3,): the head node (m) of the scene at rest."""
+def _start_position(scene: SceneFile, sight: int | None) -> np.ndarray:
+    """(3,): what is tracked (m) of the scene at rest: the head node, or the silhouette."""
     built = build(scene)
     state = built.start
     topology = built.rod.topology
     if topology.head is None:
         raise InputError("the scene's robot has no head to track")
-    return np.asarray(positions(topology, state.q))[topology.head.node]
+    states = jax.tree.map(lambda x: x[None], state)
+    return np.asarray(seen(built, states, sight))[0, :ANGLE]

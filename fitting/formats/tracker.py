@@ -12,7 +12,7 @@ def is_tracks(sample: Sample) -> bool:
     if not {"t", "x", "y"} <= sample.names:
         return False
     header = sample.table.format.header
-    last = [cell.lower() for cell in header[len(header) - 1]]
+    last = [cell.lower() for row in header[-1:] for cell in row]
     multi = sample.head[0].lstrip("\ufeff").lower().startswith("#multi")
     named = len(header) == 2 and header[0][0] != "" and "t" not in map(str.lower, header[0])
     return last[0] == "t" and (multi or named)
@@ -21,11 +21,12 @@ def is_tracks(sample: Sample) -> bool:
 def tracks(sample: Sample) -> Layout:
     """What stands where: the columns of each track side by side."""
     table = sample.table
-    header, names = table.format.header, table.names
-    titles = header[0] if len(header) > 1 else ("",) * len(names)
+    *above, last = table.format.header
+    names = table.names
+    titles = above[0] if above else ("",) * len(names)
     found: dict[str, dict[str, str]] = {}
     title = ""
-    for k, cell in enumerate(header[-1]):
+    for k, cell in enumerate(last):
         title = titles[k] or title
         if cell.lower() in ("x", "y"):
             found.setdefault(title, {})[cell.lower()] = names[k]
