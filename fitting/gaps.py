@@ -87,7 +87,11 @@ def one_each(
 
 
 def unwrapped(
-    path: Path, angle: Float[np.ndarray, " f"], period: float | None, lines: Int[np.ndarray, " f"]
+    path: Path,
+    angle: Float[np.ndarray, " f"],
+    period: float | None,
+    unit: float,
+    lines: Int[np.ndarray, " f"],
 ) -> Float[np.ndarray, " f"]:
     """Head angles (rad) that are continuous.
 
@@ -95,13 +99,14 @@ def unwrapped(
         path: of the file, for messages.
         angle: in the order of time.
         period: rad, up to which they are known; None: they should be continuous already.
+        unit: rad, in which keys give angles, for messages.
         lines: of the file, for messages.
 
     Raises:
         InputError: they are not, or which way the head turns cannot be told.
     """
     if period is None:
-        _check_continuous(path, angle, lines)
+        _check_continuous(path, angle, unit, lines)
         return angle
     whole = np.unwrap(angle, period=period)
     steps = np.abs(np.diff(whole))
@@ -109,26 +114,25 @@ def unwrapped(
         line = lines[int(np.argmax(steps)) + 1]
         raise InputError(
             f"{path}: line {line}: the head angle turns by {steps.max():.3g} rad between two "
-            f"frames, about half of what it is known up to (angle_period, {period:.4g} rad): which "
-            "way it turns cannot be told; track more frames, or leave head_angle out of columns"
+            f"frames, about half of angle_period = {period / unit:.6g}: which way it turns cannot "
+            "be told; track more frames, or leave head_angle out of columns"
         )
     return whole
 
 
 def _check_continuous(
-    path: Path, angle: Float[np.ndarray, " f"], lines: Int[np.ndarray, " f"]
+    path: Path, angle: Float[np.ndarray, " f"], unit: float, lines: Int[np.ndarray, " f"]
 ) -> None:
     """Angles given within one turn, or half a turn, jump where they leave it."""
     jumps = np.abs(np.diff(angle))
     if not len(jumps):
         return
     span, line = np.ptp(angle), lines[int(np.argmax(jumps)) + 1]
-    for part, words, key in ((1.0, "one turn", "360"), (0.5, "half a turn", "180")):
+    for part, words in ((1.0, "one turn"), (0.5, "half a turn, as that of an ellipse")):
         turn = 2 * np.pi * part
         if span <= turn * (1 + ROUNDING) and jumps.max() > 0.5 * turn:
-            also = ", as that of an ellipse," if part < 1 else ""
             raise InputError(
                 f"{path}: line {line}: the head angle jumps by {jumps.max():.3g} rad: it seems to "
-                f"be given within {words}{also}; say angle_period = {turn:.6g} "
-                f'({key} with angle_unit = "deg") to have it unwrapped'
+                f"be given within {words}; say angle_period = {turn / unit:.7g} to have it "
+                "unwrapped"
             )

@@ -136,7 +136,7 @@ def in_si(settled: Settled, rows: Seen) -> Track:
         _, sense = signed(settled.table, name)
         if channel == CHANNELS[ANGLE]:
             period = None if keys.angle_period is None else keys.angle_period * radians
-            angle = unwrapped(path, values[:, k] * radians, period, lines)
+            angle = unwrapped(path, values[:, k] * radians, period, radians, lines)
             channels.append(ANGLE)
             tracked.append(sense * angle)
             continue
