@@ -177,6 +177,8 @@ def _period(dataset: Dataset, rpm: np.ndarray) -> float | None:
     rates = np.unique(np.abs(rpm))
     if dataset.scene.motor_table is not None or dataset.scene.gravity is not None:
         return None
+    if dataset.sight is not None:
+        return None  # the robot rolls: from a fixed side its silhouette is another one then
     return 60.0 / float(rates[0]) if len(rates) == 1 and rates[0] > 0 else None
 
 

@@ -14,7 +14,7 @@ from ..reading import Seen, Track, in_si, rows_of
 from ..settle import Settled, settle
 
 WINDOW = 3
-"""Frames to either side with which a position is compared."""
+"""Pairs of frames with which a position is compared."""
 
 ODD = 10.0
 """Usual deviations from these neighbours beyond which a position is an outlier."""
@@ -106,14 +106,27 @@ def understand(path: Path, run: RunFile) -> Understood:
         raise InputError("\n".join(one.sentence for one in settled.asked))
     rows = rows_of(settled)
     track = in_si(settled, rows)
-    return Understood(path, run, settled, rows, track, outliers(track.values))
+    return Understood(path, run, settled, rows, track, outliers(track.time, track.values))
 
 
-def outliers(values: Float[np.ndarray, "f c"]) -> Bool[np.ndarray, "f c"]:
-    """Values that are much farther from the median of those around them than others are."""
-    padded = np.pad(values, ((WINDOW, WINDOW), (0, 0)), mode="reflect", reflect_type="odd")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * WINDOW + 1, axis=0)
-    away = np.abs(values - np.median(windows, axis=-1))
+def outliers(
+    time: Float[np.ndarray, " f"], values: Float[np.ndarray, "f c"]
+) -> Bool[np.ndarray, "f c"]:
+    """Values that are much farther from where those around them lead to than others are.
+
+    Where they lead to is the median of straight lines through pairs of neighbours, one to either
+    side or, at the ends, both on one.
+    """
+    count, here = len(time), np.arange(len(time))
+    lines = []
+    for k in range(1, WINDOW + 1):
+        before = np.where(here < k, here + k, here - k)
+        after = np.where(here < k, here + 2 * k, here + k)
+        last = here >= count - k
+        before, after = np.where(last, here - 2 * k, before), np.where(last, here - k, after)
+        part = (time - time[before]) / (time[after] - time[before])
+        lines.append(values[before] + part[:, None] * (values[after] - values[before]))
+    away = np.abs(values - np.median(lines, axis=0))
     usual = np.median(away, axis=0)
     least = 1e-6 * np.ptp(values, axis=0)
     return np.asarray(away > ODD * np.maximum(usual, least))
