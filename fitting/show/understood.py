@@ -128,7 +128,8 @@ def outliers(
         lines.append(values[before] + part[:, None] * (values[after] - values[before]))
     away = np.abs(values - np.median(lines, axis=0))
     usual = np.median(away, axis=0)
-    least = 1e-6 * np.ptp(values, axis=0)
+    least = 0.1 * np.median(np.abs(np.diff(values, axis=0)), axis=0)  # a whole step is odd
+    least = np.maximum(least, 1e-6 * np.ptp(values, axis=0))
     return np.asarray(away > ODD * np.maximum(usual, least))
 
 

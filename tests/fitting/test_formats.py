@@ -394,3 +394,79 @@ def test_however_a_track_is_written(
     np.testing.assert_allclose(track.time, 0.5 * seen, atol=1e-12)
     np.testing.assert_allclose(track.values, 1e-3 * np.stack([x, y], 1)[seen], atol=1e-12)
     assert track.dropped == len(lost)
+
+
+WIDE = {
+    "tracker": (["t", "x", "y"], ["head", "", ""]),
+    "kinovea": (["Time", "Track 1/0/X", "Track 1/0/Y"],),
+    "deeplabcut": (["coords", "x", "y", "likelihood"], ["bodyparts"] + ["head"] * 3,
+                   ["scorer"] + ["net"] * 3, ["individuals"] + ["one"] * 3),
+    "sleap": (["frame_idx", "head.x", "head.y", "head.score", "track", "instance.score"],),
+    "imagej": (["Slice", "X", "Y", "Area", "", "Mean"],),
+}  # fmt: skip
+"""Header rows of programs that write the columns of a point side by side, from the last up."""
+
+
+@settings(deadline=None, max_examples=120, suppress_health_check=list(HealthCheck))
+@given(
+    form=st.sampled_from(sorted(WIDE)),
+    delimiter=st.sampled_from([",", ";", "\t", " "]),
+    comma=st.booleans(),
+    encoding=st.sampled_from(["utf-8", "utf-8-sig", "utf-16", "cp1252"]),
+    quoted=st.booleans(),
+    trailing=st.booleans(),
+    several=st.booleans(),
+    lost=st.sets(st.integers(1, 18), max_size=4),
+)
+def test_however_points_stand_side_by_side(
+    tmp_path, form, delimiter, comma, encoding, quoted, trailing, several, lost
+):
+    """As above; a second point of the robot, or mass, or track may stand beside the first."""
+    delimiter = delimiter if form in ("tracker", "imagej") or delimiter != " " else ";"
+    blank = "NaN" if delimiter == " " else ""
+    header = [list(row) for row in WIDE[form]]
+    if form == "imagej":  # the number of the row comes first
+        header = [["", *(name for name in header[0] if name)]]
+        delimiter = delimiter if delimiter in ",\t" else ","
+    if form == "sleap":
+        header = [[*header[0][-2:], *header[0][:-2]]]
+    if several:
+        for row in header if form in ("tracker", "kinovea", "deeplabcut") else []:
+            row += [cell.replace("head", "tail").replace("Track 1", "Track 2") for cell in row[1:]]
+    if form == "tracker" and several:
+        header[1][header[1].index("", 1) + 2] = "tail"
+    frames = np.arange(20)
+    x, y = -0.31 * frames, 0.2 * np.sin(frames)
+    counts = form in ("deeplabcut", "sleap", "imagej")
+    down = -1.0 if counts else 1.0
+    rows = []
+    for k in frames:
+        clock = str(k) if counts else f"{0.5 * k:.6E}" if form == "tracker" else str(0.5 * k)
+        point = [blank, blank] if k in lost else [f"{x[k]:.9f}", f"{down * y[k]:.9f}"]
+        sure = ["0.99"] * (form in ("deeplabcut", "sleap"))
+        first = {"sleap": ["", "0.9"], "imagej": [str(k + 1), "310", "99"]}.get(form, [])
+        if form == "imagej":
+            rows.append([first[0], clock, *point, *first[1:]])
+            continue
+        rows.append([*first, clock, *point, *sure])
+        if several and form != "sleap":
+            rows[-1] += [f"{x[k] + 9:.4f}", "4.25", *sure]
+    decimal = comma and delimiter not in ", "
+    quoted = quoted or (delimiter == " " and form == "tracker")
+    cells = [[c.replace(".", ",") for c in row] if decimal else row for row in rows]
+    cells = [*reversed(header), *cells]
+    if quoted:
+        cells = [[f'"{cell}"' for cell in row] for row in cells]
+    path = tmp_path / "track.txt"
+    text = "".join(delimiter.join(row) + delimiter * trailing + "\n" for row in cells)
+    path.write_bytes(text.encode(encoding))
+    keys = {"length_unit": "mm"}
+    keys |= {"fps": 2.0, "pixel_size": 1.0} if counts else {}
+    if several and form in ("tracker", "kinovea"):
+        keys["track_id"] = "head" if form == "tracker" else "Track 1"
+    assert recognised(Sample(path)).name == form
+    track = read(path, **keys)
+    seen = np.setdiff1d(frames, list(lost))
+    np.testing.assert_allclose(track.time, 0.5 * seen, atol=1e-9)
+    np.testing.assert_allclose(track.values, 1e-3 * np.stack([x, y], 1)[seen], atol=1e-12)
+    assert track.dropped == len(lost)

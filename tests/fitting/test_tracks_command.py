@@ -32,6 +32,7 @@ def test_what_was_understood_of_all_formats_makes_a_dataset(tmp_path, capsys):
     assert main(["tracks", *map(str, ALL), "-o", str(tmp_path), "--no-figures"]) == 0
     out, err = capsys.readouterr()
     assert [line for line in out.splitlines() if line in map(str, ALL)] == list(map(str, ALL))
+    assert len(re.findall(r"outliers +none", out)) == len(ALL)
     assert "to be said yet, in [[runs]]: fps, pixel_size, track_id" in err
     text = (tmp_path / "dataset.toml").read_text()
     (tmp_path / "scene.toml").write_text(template("scene.toml"))
