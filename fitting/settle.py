@@ -111,6 +111,7 @@ def settle(path: Path, run: RunFile) -> Settled:
     _sense(now, layout)
     likelihood = _likelihood(now, layout, layout.places.get(choice))
     _said_of_columns(now)
+    columns = [one for one in now.asked if one.key == "columns"]  # the others depend on these
     return Settled(
         form,
         layout,
@@ -121,7 +122,7 @@ def settle(path: Path, run: RunFile) -> Settled:
         likelihood,
         layout.area or _area(table),
         tuple(now.said),
-        tuple(now.asked),
+        tuple(columns or now.asked),
     )
 
 
@@ -194,7 +195,7 @@ def _columns(now: _Open, layout: Layout, place: Place) -> None:
         angle = _about(now.run.axes, place.angles)
         now.said.append(
             "head_angle is the spin, from the quaternions, about the axis that is the robot's x "
-            "in the first frame (key axes)"
+            "in the first frame (key axes), counted from there"
         )
     channels = {"x": place.x, "y": place.y, "z": place.z, "head_angle": angle}
     if angle is not None and not now.given("angle_unit"):

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from derjax.io.fields import Table
+
 from ..datasetfile import Columns, RunFile
-from ..trackkeys import Axes
 from .understood import Understood
 
 HEAD = """\
@@ -106,7 +107,8 @@ def toml(value: Any) -> str:
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, tuple):
         return f"[{', '.join(map(toml, value))}]"
-    if isinstance(value, Axes):
-        named = value.model_dump(exclude_none=True)
-        return "{ " + ", ".join(f"{k} = {toml(v)}" for k, v in named.items()) + " }"
+    if isinstance(value, Table):
+        return toml(value.model_dump(exclude_none=True))
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{k} = {toml(v)}" for k, v in value.items()) + " }"
     return repr(value)

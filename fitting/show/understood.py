@@ -137,7 +137,7 @@ def table(one: Understood) -> str:
     """What was understood, one line a fact."""
     settled, keys, track = one.settled, one.keys, one.track
     lines = [("format", f"{settled.format.name}: {settled.format.title}")]
-    lines.append(("written", settled.table.describe()))
+    lines.append(("written", settled.layout.table.describe()))
     lines.append(("clock", _clock(one)))
     assert keys.columns is not None
     lines += [(channel, _column(one, channel)) for channel in keys.columns.tracked]
