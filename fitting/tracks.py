@@ -38,6 +38,7 @@ class Run:
         sigma_angle: rad, noise of the head angle; None: to be estimated.
         free_origin: whether only displacements count, not positions.
         drift: whether the robot also drifts with a steady velocity, which is fitted.
+        free_angle: whether only changes of the head angle count.
         dropped: frames that are left out as something in them was not tracked.
         said: what was decided when the track was read, as sentences.
         sight: the axis along which the camera looks, if the track is of the robot's silhouette;
@@ -53,6 +54,7 @@ class Run:
     sigma_angle: float | None = None
     free_origin: bool = False
     drift: bool = False
+    free_angle: bool = False
     dropped: int = 0
     said: tuple[str, ...] = ()
     sight: int | None = None
