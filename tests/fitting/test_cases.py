@@ -159,16 +159,6 @@ def test_a_drift_that_is_fitted_leaves_the_truth(drifting, tmp_path) -> None:
     assert c_t["std"] is None or abs(c_t["value"] - TRUTH["C_t"]) <= 3.0 * c_t["std"]
 
 
-def test_an_angle_that_is_counted_from_elsewhere_is_named(seen, tmp_path) -> None:
-    """As angles from a film that begins after the motor, or of a body that was mounted askew."""
-    channels = dict(zip(("x", "y", "z", "th"), (seen + np.array([0, 0, 0, 0.6])).T, strict=True))
-    content = fitted(tmp_path, table_of({"t": TIMES, **channels}), ALL)
-    assert not content["goodness"]["good"]
-    cause = content["likely_causes"][0]["sentence"]
-    assert "with another zero of the head angle the fit would be much better" in cause
-    assert "time_offset" in cause
-
-
 PIXEL = 0.08
 """mm."""
 
