@@ -188,7 +188,8 @@ def _column(one: Understood, channel: str) -> str:
         turns = np.ptp(raw) * ANGLE_UNITS[keys.angle_unit] / (2 * np.pi)
         return f"{said} {keys.angle_unit} ({turns:.3g} turns)"
     if "pixel_size" in one.asked:
-        pixels = raw.min() >= 0 and raw.max() > PIXELS
+        places = one.rows.values[one.rows.found][:, [name != CHANNELS[ANGLE] for name in names]]
+        pixels = places.min() >= 0 and places.max() > PIXELS
         known = one.settled.layout.unit == "px"
         return f"{said}, {'pixels' if known else 'no unit: ' + _guess(bool(pixels))}"
     if keys.pixel_size is not None:
