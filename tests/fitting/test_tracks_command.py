@@ -139,3 +139,11 @@ def test_outliers_are_far_from_their_neighbours(rng):
     values[0, 1] += 25.0
     assert np.argwhere(outliers(time, values)).tolist() == [[0, 1], [33, 0]]
     assert not outliers(time[:20], np.zeros((20, 1))).any()
+
+
+def test_the_page_shows_what_is_printed(monkeypatch, capsys):
+    root = FORMATS.parents[1]
+    monkeypatch.chdir(root)
+    assert main(["tracks", "data/formats/imagej.csv"]) == 0
+    page = (root / "docs" / "from_film_to_parameters.md").read_text(encoding="utf-8")
+    assert capsys.readouterr().out.strip() in page
