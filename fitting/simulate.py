@@ -12,7 +12,6 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import jax
@@ -21,6 +20,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from derjax import RolloutStats, Scene, SceneFile, State, build, roll_frames
+from derjax.core.programs import stored
 from derjax.integrate.frames import march_frames, new_stats
 from derjax.terms.contact.repulsion import Contact
 
@@ -98,8 +98,7 @@ def _seen(built: Scene, states: State) -> Motion:
     return Motion(*seen)
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def _begin(scene: SceneFile, parameters: Parameters, free: Array, rpm: Array) -> Any:
+def _at_rest(scene: SceneFile, parameters: Parameters, free: Array, rpm: Array) -> Any:
     """State and observation at rest, and their tangents along every free parameter."""
 
     def start(free):
@@ -110,8 +109,7 @@ def _begin(scene: SceneFile, parameters: Parameters, free: Array, rpm: Array) ->
     return push(jnp.eye(free.size))
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2))
-def _continue(
+def _further(
     scene: SceneFile,
     parameters: Parameters,
     n_steps: int,
@@ -134,6 +132,10 @@ def _continue(
         return (primal, new), moved
 
     return jax.vmap(push, out_axes=(None, 0))(jnp.eye(free.size), tangents)
+
+
+_begin = stored(_at_rest, static=(0, 1))
+_continue = stored(_further, static=(0, 1, 2))
 
 
 class Cancelled(Exception):

@@ -1,7 +1,6 @@
 """From a scene file to a scene: the terms of its tables, and what integrates them."""
 
 from collections.abc import Iterable, Mapping
-from functools import partial
 from typing import Any
 
 import jax
@@ -10,6 +9,7 @@ from jax.core import Tracer
 from jaxtyping import Array
 
 from ..core.errors import InputError
+from ..core.programs import stored
 from ..core.pytree import Indices, replace
 from ..integrate.provenance import check_sums
 from ..integrate.step import Scene
@@ -94,6 +94,10 @@ class Source:
         self._key = str((content, times, sorted(self.given)))
         self._hash = hash(self._key)
 
+    def fingerprint(self) -> str:
+        """What it means to a program; see `core.fingerprint`."""
+        return self._key
+
     def __hash__(self) -> int:
         return self._hash
 
@@ -126,8 +130,7 @@ def _check_numbers(scene: SceneFile, given: Parameters) -> None:
         )
 
 
-@partial(jax.jit, static_argnums=(0, 1))  # as one program: quicker than operation by operation
-def _build(scene: SceneFile, pairs: Indices | None, p: dict[str, Array]) -> Scene:
+def _assemble(scene: SceneFile, pairs: Indices | None, p: dict[str, Array]) -> Scene:
     geometry = geometry_of(scene, p)
     rod, state = at_rest(geometry.topology, geometry.nodes)
     layout = scene.solver.layout(scene, rod.topology)
@@ -135,7 +138,7 @@ def _build(scene: SceneFile, pairs: Indices | None, p: dict[str, Array]) -> Scen
     terms = [term for table in scene.ingredients for term in table.terms(setting)]
     for name, table in scene.extensions:
         terms.append(table.term({key: p[f"{name}.{key}"] for key in table.NUMBERS}, rod))
-    return Scene(
+    made = Scene(
         rod=rod,
         terms=tuple(terms),
         motor=scene.motor.motor(setting),
@@ -148,3 +151,8 @@ def _build(scene: SceneFile, pairs: Indices | None, p: dict[str, Array]) -> Scen
         check_sums=check_sums(terms),
         initial=state,
     )
+    # Numbers of Python are "weakly typed" to JAX: it would compile anew for scenes that differ in that.
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.result_type(leaf)), made)
+
+
+_build = stored(_assemble, static=(0, 1))  # as one program: quicker than operation by operation
