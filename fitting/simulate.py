@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -98,7 +99,8 @@ def _seen(built: Scene, states: State) -> Motion:
     return Motion(*seen)
 
 
-def _at_rest(scene: SceneFile, parameters: Parameters, free: Array, rpm: Array) -> Any:
+@partial(stored, static=(0, 1))
+def _begin(scene: SceneFile, parameters: Parameters, free: Array, rpm: Array) -> Any:
     """State and observation at rest, and their tangents along every free parameter."""
 
     def start(free):
@@ -109,7 +111,8 @@ def _at_rest(scene: SceneFile, parameters: Parameters, free: Array, rpm: Array) 
     return push(jnp.eye(free.size))
 
 
-def _further(
+@partial(stored, static=(0, 1, 2))
+def _continue(
     scene: SceneFile,
     parameters: Parameters,
     n_steps: int,
@@ -132,10 +135,6 @@ def _further(
         return (primal, new), moved
 
     return jax.vmap(push, out_axes=(None, 0))(jnp.eye(free.size), tangents)
-
-
-_begin = stored(_at_rest, static=(0, 1))
-_continue = stored(_further, static=(0, 1, 2))
 
 
 class Cancelled(Exception):

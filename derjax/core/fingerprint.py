@@ -4,8 +4,8 @@ A program depends on the structure of its arguments, on shapes and types of thei
 values of all that is static. Descriptions are nested tuples and lists of text, of which two are
 equal only if programs are. What is not known for certain is `Unknown`.
 
-An object that is no dataclass may say what it is: by a method `fingerprint`, which returns something
-that can be described in turn.
+An object that is no dataclass may say what it is, by a method `fingerprint`, which returns
+something that can be described in turn.
 """
 
 import dataclasses
@@ -64,8 +64,8 @@ def described(value: Any, packages: frozenset[str]) -> Description:
     name = _name_of(kind, packages)
     if isinstance(value, enum.Enum):
         return name, value.name
-    if hasattr(value, "fingerprint"):
-        return name, described(value.fingerprint(), packages)
+    if (says := getattr(value, "fingerprint", None)) is not None:
+        return name, described(says(), packages)
     if dataclasses.is_dataclass(value):
         return name, [
             (field.name, described(getattr(value, field.name), packages))
@@ -108,7 +108,7 @@ def leaves_described(tree: Any, packages: frozenset[str]) -> tuple[Description, 
 
 
 def _name_of(thing: Any, packages: frozenset[str]) -> str:
-    """The full name of a class or function; `Unknown` unless a known package has it by that name."""
+    """The full name of a class or function; `Unknown` unless a known package has it there."""
     module, name = getattr(thing, "__module__", None), thing.__qualname__
     if not isinstance(module, str) or module.partition(".")[0] not in packages:
         raise Unknown(f"{thing!r}")

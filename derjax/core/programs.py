@@ -3,10 +3,11 @@
     march = stored(march_frames, static=(2, 3))  # for jax.jit(march_frames, static_argnums=(2, 3))
 
 JAX keeps compiled programs, but looks for them by what it has traced, and tracing takes longer than
-all else that a process does before its first step. So a program is exported (`jax.export`: StableHLO,
-before it is compiled) and found again by all that it follows from: the sources of derjax and of the
-package of the function, versions and settings of JAX, the kind of device, and the arguments: of
-static ones the values, of others structure, shapes and types. Numbers in leaves are no part of it.
+all else that a process does before its first step. So a program is exported (`jax.export`:
+StableHLO, before it is compiled) and found again by all that it follows from: the sources of derjax
+and of the package of the function, versions and settings of JAX, the kind of device, and the
+arguments: of static ones the values, of others structure, shapes and types. Numbers in leaves are
+no part of it.
 
 What that list does not describe for certain is traced as ever: functions, classes and objects of
 other packages, such as the terms of extensions; sources that have been changed since this process
@@ -26,11 +27,11 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
-import jaxlib
 import numpy as np
 from jax.core import Tracer
 
@@ -85,7 +86,7 @@ class Stored:
     def count(self) -> int:
         """How many programs this process has of the function."""
         kept = sum(program is not None for program in self._programs.values())
-        return kept + self.jitted._cache_size()  # pyright: ignore[reportFunctionMemberAccess]
+        return kept + self.jitted._cache_size()  # pyright: ignore[reportAttributeAccessIssue]
 
     def __call__(self, *args: Any) -> Any:
         leaves, structure = jax.tree.flatten(self._dynamic(args))
@@ -128,7 +129,7 @@ class Stored:
     def _found_or_made(
         self, directory: Path, args: Sequence[Any], leaves: Sequence[Any], tree: Any
     ) -> _Program | None:
-        packages = frozenset({__name__.partition(".")[0], self._function.__module__.partition(".")[0]})
+        packages = frozenset(n.partition(".")[0] for n in (__name__, self._function.__module__))
         try:
             key = self._key(args, leaves, packages)
         except Unknown:
@@ -150,9 +151,7 @@ class Stored:
         call.__name__ = self._function.__name__
         return _Program(jax.jit(call), jax.tree.structure(result))
 
-    def _key(
-        self, args: Sequence[Any], leaves: Sequence[Any], packages: frozenset[str]
-    ) -> str:
+    def _key(self, args: Sequence[Any], leaves: Sequence[Any], packages: frozenset[str]) -> str:
         """A digest of all that a program follows from; `Unknown` if that cannot be said."""
         static = [described(a, packages) for k, a in enumerate(args) if k in self._static]
         dynamic, count = leaves_described(self._dynamic(args), packages)
@@ -162,7 +161,7 @@ class Stored:
         content = (
             MAGIC,
             [(package, _digest_of_sources(package)) for package in sorted(packages)],
-            (sys.version, jax.__version__, jaxlib.__version__, np.__version__),
+            (sys.version, jax.__version__, version("jaxlib"), np.__version__),
             (device.platform, device.device_kind, device.client.platform_version),
             _settings(),
             (self._function.__module__, self._function.__qualname__, sorted(self._static)),
@@ -172,7 +171,7 @@ class Stored:
         return hashlib.sha256(repr(content).encode()).hexdigest()
 
     def _made(self, args: Sequence[Any], leaves: Sequence[Any], tree: Any) -> Any:
-        """The exported program, and its result with numbers for leaves; None if JAX exports none."""
+        """The exported program, and its result with numbers for leaves; None if there is none."""
         results: list[Any] = []
 
         def flat(*leaves: Any) -> list[Any]:
@@ -229,9 +228,10 @@ def _settings() -> tuple[tuple[str, str], ...]:
 
 def _digest_of_sources(package: str) -> str:
     """Of all modules of a package; `Unknown` if they may not be those that were imported."""
-    file = getattr(sys.modules.get(package), "__file__", None)
-    paths = sorted(Path(file).parent.rglob("*.py")) if file else []
-    if not paths:
+    module = sys.modules.get(package)
+    file = Path(getattr(module, "__file__", None) or "")
+    paths = sorted(file.parent.rglob("*.py")) if hasattr(module, "__path__") else [file]
+    if file.suffix != ".py":
         raise Unknown(f"the sources of {package}")
     digest = hashlib.sha256()
     try:
@@ -239,7 +239,7 @@ def _digest_of_sources(package: str) -> str:
             about, content = path.stat(), path.read_bytes()
             if max(about.st_mtime, about.st_ctime) > BEGAN:
                 raise Unknown(f"{path}, which has been changed since")
-            digest.update(f"{path.relative_to(paths[0].parents[0])} {len(content)}\n".encode())
+            digest.update(f"{path.relative_to(file.parent)} {len(content)}\n".encode())
             digest.update(content)
     except OSError as error:
         raise Unknown(f"the sources of {package}") from error

@@ -21,5 +21,5 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     def fingerprint(self) -> tuple[dict[str, Any], list[str]]:
-        """What it means to a program: all its keys, and which were given; see `core.fingerprint`."""
-        return self.__dict__, sorted(self.model_fields_set)
+        """What it means to a program, see `core.fingerprint`: all keys, and which were given."""
+        return dict(self.__dict__), sorted(self.model_fields_set)

@@ -1,6 +1,7 @@
 """From a scene file to a scene: the terms of its tables, and what integrates them."""
 
 from collections.abc import Iterable, Mapping
+from functools import partial
 from typing import Any
 
 import jax
@@ -130,7 +131,8 @@ def _check_numbers(scene: SceneFile, given: Parameters) -> None:
         )
 
 
-def _assemble(scene: SceneFile, pairs: Indices | None, p: dict[str, Array]) -> Scene:
+@partial(stored, static=(0, 1))  # as one program: quicker than operation by operation
+def _build(scene: SceneFile, pairs: Indices | None, p: dict[str, Array]) -> Scene:
     geometry = geometry_of(scene, p)
     rod, state = at_rest(geometry.topology, geometry.nodes)
     layout = scene.solver.layout(scene, rod.topology)
@@ -151,8 +153,5 @@ def _assemble(scene: SceneFile, pairs: Indices | None, p: dict[str, Array]) -> S
         check_sums=check_sums(terms),
         initial=state,
     )
-    # Numbers of Python are "weakly typed" to JAX: it would compile anew for scenes that differ in that.
+    # To JAX numbers of Python are "weakly typed"; it would compile anew for scenes with other ones.
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.result_type(leaf)), made)
-
-
-_build = stored(_assemble, static=(0, 1))  # as one program: quicker than operation by operation

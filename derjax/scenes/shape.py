@@ -7,7 +7,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from ..core.errors import InputError
 from ..core.pytree import Indices, replace
@@ -37,14 +37,15 @@ SHAPE = ("helix_radius", "pitch", "axial_length", "rod_radius", "separation", "b
 """The parameters that say which edges may touch."""
 
 
-def geometry_of(scene: SceneFile, p: Mapping[str, Array]) -> RobotGeometry:
+def geometry_of(scene: SceneFile, p: Mapping[str, Any]) -> RobotGeometry:
     """The nodes (m) of a robot at rest, and how they hang together.
 
     Their number is that of the file's own dimensions.
 
     Args:
         scene: the file.
-        p: its parameters, or others: those of the shape are needed.
+        p: its parameters, or others: those of the shape are needed. With numbers of NumPy
+            nothing is compiled.
     """
     geometry = _joined(scene, p)
     if not geometry.topology.motors:
@@ -53,7 +54,7 @@ def geometry_of(scene: SceneFile, p: Mapping[str, Array]) -> RobotGeometry:
     return geometry._replace(topology=topology)
 
 
-def _joined(scene: SceneFile, p: Mapping[str, Array]) -> RobotGeometry:
+def _joined(scene: SceneFile, p: Mapping[str, Any]) -> RobotGeometry:
     """The flagella, and what joins them."""
     robot = scene.robot
     filaments, edge = _filaments(scene, p)
@@ -67,7 +68,7 @@ def _joined(scene: SceneFile, p: Mapping[str, Array]) -> RobotGeometry:
     return branched(filaments, edge, separation)
 
 
-def _filaments(scene: SceneFile, p: Mapping[str, Array]) -> tuple[list[Array], Array]:
+def _filaments(scene: SceneFile, p: Mapping[str, Any]) -> tuple[list[Any], Any]:
     """The filaments of a robot, each in a frame of its own, and the length of the head's edges.
 
     That is the length of those of the flagella, or its mean if they differ.
@@ -91,7 +92,7 @@ def _filaments(scene: SceneFile, p: Mapping[str, Array]) -> tuple[list[Array], A
     return filaments, edges[0] if alike else sum(edges[1:], edges[0]) / len(edges)
 
 
-def _of(value: Array, flagellum: int) -> Array:
+def _of(value: Any, flagellum: int) -> Any:
     """The number of one flagellum."""
     return value[flagellum] if np.ndim(value) else value
 
@@ -128,7 +129,7 @@ def _touching_pairs(scene: SceneFile, shape: tuple[tuple[str, Any], ...]) -> Ind
     start, end = geometry.topology.edge_nodes.T
     nodes = np.asarray(geometry.nodes)
     length = np.linalg.norm(nodes[end] - nodes[start], axis=1)
-    pairs = pairs_apart(geometry.topology, length, np.pi * numbers["rod_radius"])
+    pairs = pairs_apart(geometry.topology, length, np.pi * float(numbers["rod_radius"]))
     _check_apart(numbers, nodes[geometry.topology.edge_nodes], pairs)
     return pairs
 
