@@ -1,6 +1,6 @@
 """How long commands take until their first step, and as whole processes.
 
-    python -m benchmarks.start [-o docs/figures] [--before CHECKOUT] [--quick]
+    python -m benchmarks.start [-o docs/figures] [--before CHECKOUT] [--quick [COMMAND ...]]
 
 `derjax --help`, `derjax simulate` of the scenes of `derjax new` with one and two flagella, and the
 README's `derjax fit`, each in a process of its own: cold, with an empty directory of programs, and
@@ -8,14 +8,14 @@ warm, with what the cold one has left there. Times are from the start of the pro
 at which the program of a step is about to run, and to the end; on the wall, and of all processors.
 To the first step the quickest of three counts, as other work on the machine only ever adds. With
 `--before` the same commands of another checkout of derjax are measured in turn with this one.
-`--quick` leaves out what comes after the first step. Writes start.csv and start.md.
+`--quick` leaves out what comes after the first step, of all commands or of those named. Writes start.csv and start.md.
 """
 
 import os
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -110,16 +110,19 @@ def measured(words: list[str], source: Path, directory: Path, stop: bool) -> dic
     return found
 
 
-def rows(sources: Mapping[str, Path], directory: Path, quick: bool) -> list[dict[str, Any]]:
+def rows(
+    sources: Mapping[str, Path], directory: Path, quick: Sequence[str]
+) -> list[dict[str, Any]]:
     """A row for each command, cold and warm, of each checkout."""
     found = []
+    begin_only = {n for n in commands(directory) if any(word in n for word in quick)}
     for name, words in commands(directory).items():
         for programs in ("cold", "warm"):
             for label, source in sources.items():
                 place = directory / f"{name} {label}".replace(" ", "_").replace(",", "")
                 place.mkdir(exist_ok=True)
                 step = name != "--help"
-                row = measured(words, source, place, quick and step)
+                row = measured(words, source, place, step and name in begin_only)
                 repeated = [row] if programs == "cold" else []
                 if programs == "warm":
                     repeated = [
@@ -135,7 +138,9 @@ def rows(sources: Mapping[str, Path], directory: Path, quick: bool) -> list[dict
 def main() -> None:
     parser = command_line(__doc__, cache=False)
     parser.add_argument("--before", type=Path, help="another checkout of derjax, to compare with")
-    parser.add_argument("--quick", action="store_true", help="end every process at its first step")
+    parser.add_argument(
+        "--quick", nargs="*", metavar="WORD", help="end commands with these in their names early"
+    )
     args = parser.parse_args()
     sources = {"this": ROOT}
     if args.before is not None:
@@ -143,7 +148,9 @@ def main() -> None:
     with TemporaryDirectory() as directory:
         new = [sys.executable, "-m", "derjax", "new", directory]
         subprocess.run(new, check=True, capture_output=True, cwd=ROOT)
-        table = pd.DataFrame(rows(sources, Path(directory), args.quick))
+        table = pd.DataFrame(
+            rows(sources, Path(directory), [""] if args.quick == [] else args.quick or [])
+        )
     table = table.reindex(columns=list(FORMATS))
     note = (
         "Whole processes, from their start, on this machine: `python -m benchmarks.start`. Cold: "

@@ -15,6 +15,7 @@ from ..core.pytree import Indices, replace
 from ..integrate.provenance import check_sums
 from ..integrate.step import Scene
 from ..rods.rod import at_rest
+from ..shapes.numbers import library_of
 from .file import SceneFile
 from .ingredients.ingredient import Setting
 from .parameters import index_of, place_of
@@ -66,9 +67,8 @@ def build_unchecked(scene: SceneFile, parameters: Parameters) -> Scene:
 def _assembled(scene: SceneFile, given: Parameters, shape: Parameters) -> Scene:
     """The scene with some parameters given; those of `shape` say which edges may touch."""
     pairs = touching_pairs(scene, shape) if scene.touching else None
-    numbers = {
-        name: jnp.asarray(value, float) for name, value in scene.parameters_with(given).items()
-    }
+    every = scene.parameters_with(given)
+    numbers = {name: library_of(value).asarray(value, float) for name, value in every.items()}
     return replace(_build(scene, pairs, numbers), source=Source(scene, given))
 
 
