@@ -8,7 +8,8 @@ warm, with what the cold one has left there. Times are from the start of the pro
 at which the program of a step is about to run, and to the end; on the wall, and of all processors.
 To the first step the quickest of three counts, as other work on the machine only ever adds. With
 `--before` the same commands of another checkout of derjax are measured in turn with this one.
-`--quick` leaves out what comes after the first step, of all commands or of those named. Writes start.csv and start.md.
+`--quick` leaves out what comes after the first step, of all commands or of those that have one of
+the words in their names. Writes start.csv and start.md.
 """
 
 import os
