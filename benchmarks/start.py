@@ -156,7 +156,8 @@ def main() -> None:
     note = (
         "Whole processes, from their start, on this machine: `python -m benchmarks.start`. Cold: "
         "nothing is kept of earlier processes; warm: programs are, as they were traced and "
-        "compiled."
+        "compiled. Where the machine has other work to do, the times of processors are those to "
+        "compare."
     )
     write(table, args.output / "start.csv", FORMATS, note)
 
