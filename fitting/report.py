@@ -137,6 +137,8 @@ def figure(fit: Fit) -> "Figure":
 
     Rows: displacement along x (or the first coordinate tracked), head angle, residuals.
     """
+    from matplotlib.figure import Figure
+
     tracked = {channel for one in fit.runs for channel in one.run.channels}
     rows = [c for c in (min(tracked - {ANGLE}, default=None), ANGLE) if c in tracked]
     columns = len(fit.runs)
