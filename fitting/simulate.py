@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from derjax import RolloutStats, Scene, SceneFile, State, build, roll_frames
+from derjax.core.programs import stored
 from derjax.integrate.frames import march_frames, new_stats
 from derjax.terms.contact.repulsion import Contact
 
@@ -102,7 +103,7 @@ def _seen(built: Scene, states: State, sight: int | None) -> Motion:
     return Motion(*both)
 
 
-@partial(jax.jit, static_argnums=(0, 1, 4))
+@partial(stored, static=(0, 1, 4))
 def _begin(
     scene: SceneFile, parameters: Parameters, free: Array, rpm: Array, sight: int | None
 ) -> Any:
@@ -116,7 +117,7 @@ def _begin(
     return push(jnp.eye(free.size))
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2, 8))
+@partial(stored, static=(0, 1, 2, 8))
 def _continue(
     scene: SceneFile,
     parameters: Parameters,

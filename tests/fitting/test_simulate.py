@@ -50,9 +50,9 @@ def test_one_rollout_and_reverse_mode_agree_with_joined_calls(simulator, simulat
 
 
 def test_runs_of_other_lengths_and_rates_share_the_program(simulator, simulated) -> None:
-    before = _continue._cache_size()
+    before = _continue.count
     short, long = simulator.runs(FREE, [jnp.array(70.0), RPM], [10, STEPS])
-    assert _continue._cache_size() == before
+    assert _continue.count == before
     assert len(short.time) == simulator.steps_per_call + 1
     assert np.array_equal(long.observed, simulated.observed)
     assert np.abs(short.observed[20] - long.observed[20]).max() > 1e-3
