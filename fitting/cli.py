@@ -80,6 +80,8 @@ def _fit(
     if not args.quiet:
         frames = sum(run.time.size for run in dataset.runs)
         print(f"{args.dataset}: {len(dataset.runs)} runs, {frames} frames")
+        for run in dataset.runs:
+            print("\n".join(f"{run.name}: {one}" for one in run.said))
     printer = _Printer(args.quiet)
     again = f"resume with: {_command(args)} --resume"
     try:

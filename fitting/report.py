@@ -6,12 +6,9 @@ import math
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from derjax.io.output import Output
 from derjax.scenes.extensions import unit_of
@@ -19,6 +16,10 @@ from derjax.scenes.extensions import unit_of
 from .observe import ANGLE, CHANNELS
 from .outcome import Fit, RunFit
 from .simulate import SimulatedTrack
+
+if TYPE_CHECKING:  # slow to import
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 REPORT, FIGURE = "fit.json", "fit.png"
 """Names of the files."""
@@ -70,6 +71,7 @@ def as_dict(fit: Fit) -> dict[str, Any]:
                 "rms_head_angle": one.rms.get("head_angle"),
                 "drift_m_per_s": one.drift,
                 "frames_left_out": one.run.dropped,
+                "how_the_track_was_read": list(one.run.said),
             }
             for one in fit.runs
         ],
@@ -125,15 +127,19 @@ def write(fit: Fit, output: Output, figures: bool = True) -> tuple[Path, ...]:
     if not figures:
         return (output.path / REPORT,)
     with output.replacing(FIGURE) as temporary:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg  # slow to import
+
         FigureCanvasAgg(figure(fit)).print_figure(str(temporary), format="png", dpi=150)
     return output.path / REPORT, output.path / FIGURE
 
 
-def figure(fit: Fit) -> Figure:
+def figure(fit: Fit) -> "Figure":
     """Tracks over the simulation before and after the fit, one column a run.
 
     Rows: displacement along x (or the first coordinate tracked), head angle, residuals.
     """
+    from matplotlib.figure import Figure
+
     tracked = {channel for one in fit.runs for channel in one.run.channels}
     rows = [c for c in (min(tracked - {ANGLE}, default=None), ANGLE) if c in tracked]
     columns = len(fit.runs)
@@ -160,7 +166,7 @@ def figure(fit: Fit) -> Figure:
     return canvas
 
 
-def _motion(axis: Axes, one: RunFit, channel: int) -> None:
+def _motion(axis: "Axes", one: RunFit, channel: int) -> None:
     """One channel of a run: the track as points, the simulations as lines."""
     run, scale = one.run, 1.0 if channel == ANGLE else 1e3
     if channel not in run.channels:
@@ -204,7 +210,7 @@ def _offset(one: RunFit, simulated: SimulatedTrack, channel: int) -> float:
     return float(np.mean(at_frames - run.values[seen, run.channels.index(channel)]))
 
 
-def _residuals(axis: Axes, one: RunFit) -> None:
+def _residuals(axis: "Axes", one: RunFit) -> None:
     """Residuals of all channels of a run, positions in mm and angles in units of 0.1 rad."""
     axis.axhline(0.0, color=BEFORE, lw=0.8)
     for place, channel in enumerate(one.run.channels):

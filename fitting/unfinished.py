@@ -71,7 +71,7 @@ def _identity(
     tracks = hashlib.sha256()
     for run in dataset.runs:
         words = (run.name, run.channels, run.motor_rpm, run.sigma, run.sigma_angle)
-        tracks.update(repr((*words, run.free_origin, run.drift)).encode())
+        tracks.update(repr((*words, run.free_origin, run.drift, run.sight)).encode())
         for array in (run.time, run.values):
             tracks.update(np.ascontiguousarray(array).tobytes())
     table = dataset.scene.motor_table
