@@ -22,7 +22,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ..core.pytree import Indices, pytree, static
+from ..core.pytree import Indices, pytree, replace, static
 from .local import ElementPotential, LocalPotential
 
 T = TypeVar("T")
@@ -214,6 +214,54 @@ class Pairs(Contribution):
         return self._if_any(
             lambda: _add_blocks(matrix, self.dofs, self._each(q, self.potential.hessian)), matrix
         )
+
+
+class ContactPotential(LocalPotential, Protocol):
+    """One that depends on an overlap p (m) alone, as a convex function of it."""
+
+    def overlap(self, local: Array, data: Any) -> tuple[Array, Array]:
+        """p, negative where nothing touches, and its derivatives (k,)."""
+        ...
+
+    def force(self, overlap: Array, data: Any) -> Array:
+        """N, the derivative of the energy with respect to the overlap."""
+        ...
+
+    def stiffness(self, overlap: Array, data: Any) -> Array:
+        """N/m, the second derivative."""
+        ...
+
+
+@pytree
+class Contacts(Pairs):
+    """Pairs that repel each other where they overlap: stiff, and from one moment to the next.
+
+    A tangent of such a force tells nothing of it: a pair that is just apart has none. Solvers may
+    ask for the law itself, and keep to the derivatives of `Pairs` otherwise.
+    """
+
+    potential: ContactPotential = static()
+
+    def overlaps(self, q: Dofs) -> tuple[Float[Array, " b"], Float[Array, "b k"]]:
+        """The overlaps (m) and their derivatives; those not in use are far from touching."""
+        p, slope = jax.vmap(self.potential.overlap)(q[self.dofs], self.data)
+        return jnp.where(self.mask, p, -1.0), jnp.where(self.mask[:, None], slope, 0.0)
+
+    def split(self, q: Dofs, most: int) -> tuple["Contacts", "Contacts"]:
+        """The closest pairs, up to some number, and a list of the same length without them."""
+        size = min(most, len(self.dofs))
+        _, chosen = lax.top_k(self.overlaps(q)[0], size)
+        data = jax.tree.map(lambda leaf: leaf[chosen], self.data)
+        near = replace(self, dofs=self.dofs[chosen], mask=self.mask[chosen], data=data)
+        return near, replace(self, mask=self.mask.at[chosen].set(False))
+
+    def forces(self, overlaps: Float[Array, " b"]) -> Float[Array, " b"]:
+        """N."""
+        return jax.vmap(self.potential.force)(overlaps, self.data)
+
+    def stiffnesses(self, overlaps: Float[Array, " b"]) -> Float[Array, " b"]:
+        """N/m."""
+        return jax.vmap(self.potential.stiffness)(overlaps, self.data)
 
 
 class Operator(Protocol):

@@ -23,7 +23,6 @@ from jaxtyping import Array, Float, Int
 from ..core.pytree import jvp_nonzero, pytree, replace, static
 from ..core.status import Status
 from .contributions import Dofs
-from .dense import Factor
 
 _SEARCHING = -1
 
@@ -140,9 +139,11 @@ class Equations(Protocol):
 
     def max_step(self, q: Dofs, direction: Dofs) -> Array: ...
 
+    def direction(self, matrix: Any, q: Dofs, gradient: Dofs, free: Any) -> Dofs: ...
+
     def linearise(
         self, q: Dofs, sizes: Dofs, unit: Dofs, free: tuple[int, ...] | None, exact: bool
-    ) -> tuple[Factor, Dofs]: ...
+    ) -> tuple[Any, Dofs]: ...
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(3,))
@@ -169,8 +170,8 @@ def equilibrium(
     def scaled(force: Dofs, unit: Dofs) -> Array:
         return jnp.max((jnp.abs(force) / unit)[chosen])
 
-    def along(matrix: Factor, gradient: Dofs) -> Dofs:
-        step = -matrix.solve(gradient[chosen])
+    def along(matrix: Any, q: Dofs, gradient: Dofs) -> Dofs:
+        step = potential.direction(matrix, q, gradient, chosen)
         return step if free is None else _insert(jnp.zeros_like(gradient), step, free)
 
     # The potential, its gradient, its Hessian and a solution with it each stand at one place in the
@@ -203,8 +204,8 @@ def equilibrium(
             start,
         )
 
-    def advance(matrix: Factor, now: _Search) -> _Search:
-        direction = along(matrix, now.point.gradient)
+    def advance(matrix: Any, now: _Search) -> _Search:
+        direction = along(matrix, now.point.q, now.point.gradient)
         length = now.part
         if potential.guards:
             length = length * potential.max_step(now.point.q, direction)

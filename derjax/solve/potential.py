@@ -11,8 +11,9 @@ from jaxtyping import Array
 
 from ..core.pytree import pytree
 from ..core.status import Status
-from .contributions import Contribution, Dofs, Guard, LocalHessians, Matrix
+from .contributions import Contacts, Contribution, Dofs, Guard, LocalHessians, Matrix
 from .dense import Factor, factor, factor_as_it_is
+from .touching import LISTED, TouchingFactor, direction, touching_factor
 
 
 @pytree
@@ -77,22 +78,53 @@ class Potential:
             matrix = c.add_hessian(matrix, q)
         return matrix
 
+    @property
+    def contacts(self) -> Contacts | None:
+        """The one contribution of pairs that touch, if there is one."""
+        found = [c for c in self.contributions if isinstance(c, Contacts)]
+        return found[0] if len(found) == 1 and self.symmetric else None
+
+    def direction(
+        self, matrix: Factor | TouchingFactor, q: Dofs, gradient: Dofs, free: Dofs | slice
+    ) -> Dofs:
+        """Newton's direction of the free degrees of freedom."""
+        if isinstance(matrix, TouchingFactor):
+            return direction(matrix, q, gradient[free])
+        return -matrix.solve(gradient[free])
+
     def linearise(
         self, q: Dofs, sizes: Dofs, unit: Dofs, free: tuple[int, ...] | None, exact: bool
-    ) -> tuple[Factor, Dofs]:
+    ) -> tuple[Factor | TouchingFactor, Dofs]:
         """What solves with the Newton matrix of the free degrees of freedom at q, and the forces
         (d,) that rounding numbers of some sizes (m and rad) makes, in units of the rounding.
 
         Forces and torques are measured in `unit` (N, N m). If `exact`, nothing is added to the
         matrix of what is not stable.
         """
+        chosen = slice(None) if free is None else np.array(free)
+        if self.contacts is not None and not exact:
+            return self._where_rods_touch(self.contacts, q, sizes, unit, chosen)
         matrix = self.hessian(q)
         rounding = jnp.abs(matrix) @ sizes
-        chosen = slice(None) if free is None else np.array(free)
         inner = matrix[chosen][:, chosen]
         if exact:
             return factor_as_it_is(inner, self.symmetric), rounding
         return factor(inner, self.symmetric, unit[chosen]), rounding
+
+    def _where_rods_touch(
+        self, contacts: Contacts, q: Dofs, sizes: Dofs, unit: Dofs, chosen: Dofs | slice
+    ) -> tuple[TouchingFactor, Dofs]:
+        """`linearise`, with contact set apart."""
+        near, rest = contacts.split(q, LISTED)
+        others = tuple(rest if c is contacts else c for c in self.contributions)
+        matrix = Potential(others).hessian(q)
+        p, slopes = near.overlaps(q)
+        felt = jnp.abs(slopes)
+        pressed = near.stiffnesses(p) * jnp.sum(felt * sizes[near.dofs], axis=1)
+        rounding = jnp.abs(matrix) @ sizes
+        rounding = rounding.at[near.dofs].add(felt * pressed[:, None])
+        smooth = factor(matrix[chosen][:, chosen], True, unit[chosen])
+        return touching_factor(smooth, near, slopes, q.size, chosen), rounding
 
 
 def assemble(contributions: Sequence[Contribution]) -> Potential:

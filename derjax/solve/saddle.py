@@ -154,6 +154,12 @@ class SaddlePointSystem:
         force, q = self.split(gradient)[0], self.split(direction)[0]
         return (self.free * force) @ q
 
+    def direction(
+        self, matrix: "SaddlePointFactor", z: Unknowns, gradient: Unknowns, free: slice
+    ) -> Unknowns:
+        """Newton's direction."""
+        return -matrix.solve(gradient[free])
+
     def linearise(
         self, z: Unknowns, sizes: Unknowns, unit: Unknowns, free: None, exact: bool
     ) -> tuple["SaddlePointFactor", Unknowns]:

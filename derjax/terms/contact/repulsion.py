@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 
 from ...core.pytree import Indices, pytree, replace, static
 from ...rods.rod import Rod, State
-from ...solve.contributions import Pairs
+from ...solve.contributions import Contacts
 from ..term import Prediction, Stage, Term
 from .neighbours import Neighbours, search
 from .segments import Near, barrier_curvature, near
@@ -52,14 +52,18 @@ def energy(d: Array, touch: ContactLaw) -> Array:
 
 def force(d: Array, touch: ContactLaw) -> Array:
     """N, by which two edges at a distance d (m) repel each other."""
+    return _force(touch.diameter - d, touch)
+
+
+def _force(overlap: Array, touch: ContactLaw) -> Array:
     width = RAMP * touch.diameter
-    p = jnp.maximum(touch.diameter - d, 0.0)
+    p = jnp.maximum(overlap, 0.0)
     return touch.stiffness * jnp.where(p < width, 0.5 * p**2 / width, p - 0.5 * width)
 
 
-def _stiffness(d: Array, touch: ContactLaw) -> Array:
+def _stiffness(overlap: Array, touch: ContactLaw) -> Array:
     width = RAMP * touch.diameter
-    p = jnp.maximum(touch.diameter - d, 0.0)
+    p = jnp.maximum(overlap, 0.0)
     return touch.stiffness * jnp.minimum(p / width, 1.0)
 
 
@@ -86,6 +90,16 @@ class ContactEnergy:
         at, d = meeting(local, data.diameter)
         return jnp.outer(weights(at), -force(d, data) / d * at.gap).ravel()
 
+    def overlap(self, local: Float[Array, " 12"], data: ContactLaw) -> tuple[Array, Array]:
+        at, d = meeting(local, data.diameter)
+        return data.diameter - d, jnp.outer(weights(at), -at.gap / d).ravel()
+
+    def force(self, overlap: Array, data: ContactLaw) -> Array:
+        return _force(overlap, data)
+
+    def stiffness(self, overlap: Array, data: ContactLaw) -> Array:
+        return _stiffness(overlap, data)
+
     def hessian(self, local: Float[Array, " 12"], data: ContactLaw) -> Array:
         at, d = meeting(local, data.diameter)
         x0, x1, y0, y1 = local.reshape(4, 3)
@@ -100,7 +114,9 @@ class ContactEnergy:
         inverse = jnp.array([[a[1, 1], -a[0, 1]], [-a[0, 1], a[0, 0]]]) / determinant
         squared = jnp.kron(jnp.outer(w, w), jnp.eye(3)) - g @ inverse @ g.T
         normal = jnp.outer(w, at.gap / d).ravel()
-        return (_stiffness(d, data) - pull) * jnp.outer(normal, normal) + pull * squared
+        return (_stiffness(data.diameter - d, data) - pull) * jnp.outer(
+            normal, normal
+        ) + pull * squared
 
 
 @pytree
@@ -137,6 +153,6 @@ class Contact(Term):
             jnp.broadcast_to(2.0 * self.radius, self.capacity),
         )
 
-    def contribution(self, rod: Rod, state: State, stage: Stage, cache: Neighbours) -> Pairs:
+    def contribution(self, rod: Rod, state: State, stage: Stage, cache: Neighbours) -> Contacts:
         dofs = (3 * cache.nodes[:, :, None] + jnp.arange(3)).reshape(-1, 12)
-        return Pairs(dofs, cache.mask, ContactEnergy(), self.touch, cache)
+        return Contacts(dofs, cache.mask, ContactEnergy(), self.touch, cache)
