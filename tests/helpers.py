@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from derjax import Rod, Scene, State, Topology, at_rest, chain
 from derjax.core.pytree import pytree, replace
 from derjax.integrate.step import predict
-from derjax.rods.rod import History, transport_frames
+from derjax.rods.rod import no_history, transport_frames
 from derjax.solve.newton import NewtonInfo
 from derjax.solve.potential import Potential, assemble
 from derjax.terms import Bend, Gravity, Stage, Stretch, Term, Twist
@@ -159,9 +159,12 @@ def settled(rod: Rod, state: State, terms: tuple[Term, ...], held: tuple[int, ..
 
 def at_speed(state: State, velocity: Array) -> State:
     """The state with some velocity (m/s, rad/s) that it is expected to keep."""
-    still = jnp.zeros_like(velocity)
-    past = History(velocity, still, still, state.history.length)
-    return replace(state, velocity=velocity, acceleration=still, history=past)
+    return replace(
+        state,
+        velocity=velocity,
+        acceleration=jnp.zeros_like(velocity),
+        history=no_history(state.q),
+    )
 
 
 def order(sizes: list[float], errors: list[float]) -> float:

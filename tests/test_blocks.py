@@ -306,7 +306,8 @@ def test_groups_of_edges_find_what_all_pairs_find(rng, monkeypatch):
 
         @partial(jax.jit, static_argnums=1)
         def closest(x: jax.Array, capacity: int) -> tuple[jax.Array, jax.Array]:
-            return neighbourhood.closest(topology, x, pairs, jnp.array(0.02), capacity)
+            reach, still = jnp.array(0.02), jnp.zeros_like(x)
+            return neighbourhood.closest(topology, x, still, pairs, reach, reach, capacity)
 
         lists.append([])
         for state in starts:

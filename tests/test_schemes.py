@@ -83,7 +83,7 @@ def displaced(velocity: jax.Array, acceleration: jax.Array, length: float) -> St
         q=REST.q + SMALL,
         velocity=SMALL * velocity,
         acceleration=SMALL * acceleration,
-        history=replace(REST.history, length=jnp.array(length)),
+        history=replace(REST.history, lengths=jnp.array([length, 0.0, 0.0])),
     )
 
 

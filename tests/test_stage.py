@@ -87,8 +87,7 @@ def test_a_uniform_flow_carries_the_robot_along(name):
     if name == "explicit":  # has inertia: start with the fluid
         along = jnp.tile(drift, scene.rod.topology.n_nodes)
         velocity = jnp.pad(along, (0, scene.rod.topology.n_edges))
-        past = replace(state.history, mean_velocity=velocity)
-        carried = replace(state, velocity=velocity, history=past)
+        carried = replace(state, velocity=velocity)
     else:
         carried = state
     moving = replace(scene, terms=(*scene.terms, flow))

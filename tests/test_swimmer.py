@@ -53,7 +53,7 @@ def swim(modulus: float, step: float) -> Moment:
     before, after, report, info = run_and_step(scene, state)
     report.raise_if_failed()
     assert info.status == 0
-    velocity = after.history.mean_velocity
+    velocity = after.history.moves[0] / step
     return Moment(file, scene, before, before.q + step * velocity, velocity)
 
 

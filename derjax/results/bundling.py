@@ -81,7 +81,8 @@ def contact_forces(
     touch = ContactLaw(contact.stiffness, 2.0 * contact.radius)
 
     def at_one_time(x: Float[Array, "n 3"]) -> Float[Array, " k"]:
-        edges, found = closest(topology, x, contact.pairs, touch.diameter, contact.capacity)
+        d, still = touch.diameter, jnp.zeros_like(x)
+        edges, found = closest(topology, x, still, contact.pairs, d, d, contact.capacity)
         pairs = x[jnp.asarray(topology.edge_nodes)[edges].reshape(-1, 4)]
         _, d = jax.vmap(meeting, (0, None))(pairs.reshape(-1, 12), touch.diameter)
         return jnp.where(jnp.arange(contact.capacity) < found, force(d, touch), 0.0)

@@ -45,7 +45,7 @@ def turns(
     """
     middle = end - 0.5 * move
     arm = middle - centres(topology, middle)
-    share = _shares(topology)
+    share = jnp.asarray(_shares(topology))
     moment = share @ cross(arm, move)
     squared = share @ dot(arm, arm)
     second = jnp.einsum("gn,ni,nj->gij", share, arm, arm)

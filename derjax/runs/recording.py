@@ -133,8 +133,14 @@ def load_checkpoint(scene: SceneFile, path: Path) -> Recording:
             f"{path}: this run is of another scene: {'; '.join(changes)}. "
             "Only the same scene can be resumed; --overwrite starts anew"
         )
-    history = History(**_fields(arrays, "history."))
-    stacked = State(**_fields(arrays, "frames."), history=history)
+    try:
+        history = History(**_fields(arrays, "history."))
+        stacked = State(**_fields(arrays, "frames."), history=history)
+    except TypeError as error:
+        raise InputError(
+            f"{path}: an older derjax has written this, and kept other things: {error}. "
+            "It cannot be resumed; --overwrite starts anew"
+        ) from None
     n_frames = len(stacked.time)
     return Recording(
         [jax.tree.map(lambda leaf, k=k: leaf[k], stacked) for k in range(n_frames)],

@@ -4,6 +4,7 @@ The step knows nothing of physics: it finds where the gradient of the sum vanish
 """
 
 from collections.abc import Hashable, Sequence
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -85,7 +86,7 @@ class Potential:
         return found[0] if len(found) == 1 and self.symmetric else None
 
     def direction(
-        self, matrix: Factor | TouchingFactor, q: Dofs, gradient: Dofs, free: Dofs | slice
+        self, matrix: Factor | TouchingFactor, q: Dofs, gradient: Dofs, free: Any
     ) -> Dofs:
         """Newton's direction of the free degrees of freedom."""
         if isinstance(matrix, TouchingFactor):
@@ -112,7 +113,7 @@ class Potential:
         return factor(inner, self.symmetric, unit[chosen]), rounding
 
     def _where_rods_touch(
-        self, contacts: Contacts, q: Dofs, sizes: Dofs, unit: Dofs, chosen: Dofs | slice
+        self, contacts: Contacts, q: Dofs, sizes: Dofs, unit: Dofs, chosen: Any
     ) -> tuple[TouchingFactor, Dofs]:
         """`linearise`, with contact set apart."""
         near, rest = contacts.split(q, LISTED)

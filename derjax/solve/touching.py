@@ -15,6 +15,8 @@ Each has one solution as F grows with p', and Newton's method for it starts wher
 pairs apart: from there it goes down without passing by the solution.
 """
 
+from typing import Any
+
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
@@ -57,7 +59,7 @@ def touching_factor(
     contacts: Contacts,
     slopes: Float[Array, "m k"],
     size: int,
-    chosen: Array | slice,
+    chosen: Any,
 ) -> TouchingFactor:
     """From the factor of all but contact, and the derivatives of the overlaps."""
     rows = jnp.arange(len(slopes))[:, None]

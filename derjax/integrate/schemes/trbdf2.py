@@ -66,7 +66,7 @@ class _End:
         q: (d,) m and rad.
         velocity: (d,) m/s and rad/s.
         acceleration: (d,) m/s^2 and rad/s^2.
-        surprise: (d,) m/s and rad/s, by how much the velocity differs from what was expected.
+        surprise: (d,) m and rad, by how much it is off from where it was expected.
     """
 
     q: Dofs
@@ -90,7 +90,8 @@ def trbdf2(scene: Scene, state: State, length: Array) -> Step:
         pace = state.velocity + known * state.acceleration + found * before.acceleration
         turn = motor_rotation(scene, state, end)
         expected = predicted_displacement(scene, state, end)
-        move = expected + SURP * before.surprise
+        # An unexpected velocity was felt over `part` before, and is over `found` as well by now.
+        move = expected + (found + part) / part * before.surprise
         prediction = predict(scene, state, end, end)
         flow = fluid_velocity(scene, prediction.configuration, state.time + end)
         angle = state.motor_angle + turn
