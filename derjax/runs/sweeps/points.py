@@ -1,21 +1,20 @@
 """The points of a sweep: which of them share a program, and what comes out of them."""
 
-import time
+import threading
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
 from ...core.errors import InputError
 from ...core.pytree import Indices, replace
 from ...core.status import Status
-from ...integrate.frames import RolloutStats, new_stats
-from ...integrate.step import Scene, enlarge
+from ...integrate.frames import RolloutStats
+from ...integrate.step import Scene
 from ...results import dataset as trajectory
 from ...results import summary as summaries
 from ...rods.rod import State
@@ -31,7 +30,8 @@ from ...scenes.ingredients import (
 )
 from ...scenes.parameters import place_of
 from ...scenes.shape import touching_pairs
-from ..batch import advance, all_runs, build_many, pick, repeat, shard
+from ..batch import build_many, pick
+from . import marching
 
 T = TypeVar("T")
 
@@ -41,8 +41,8 @@ ERROR = "error"
 INVALID = "invalid"
 """Status of a point whose values do not make a scene."""
 
-PIECES = 8
-"""In which a chunk of points is computed, at most, to see how far it has come and to stop it."""
+_preparing = threading.Lock()
+"""What one thread has compiled for its points, others need not."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ def compute(
 ) -> list[Outcome]:
     """What comes out of points that share a program.
 
-    A point's wall time is its share of that of the chunk, without compilation.
+    A point's wall time is without compilation; of points that go together, its share.
 
     Args:
         chunk: the points.
@@ -167,12 +167,11 @@ def compute(
             `Cancelled`.
     """
     numbers, files = list(chunk.files), list(chunk.files.values())
-    scenes, states = _build_all(files, chunk.slots)
-    _compile(scenes, states, files[0], chunk.slots)
-    began = time.perf_counter()
-    frames, reports = _run(scenes, states, files[0], chunk.slots, on_progress)
+    with _preparing:
+        scenes, states = _build_all(files, chunk.slots)
+        marching.prepare(scenes, states, files[0], chunk.slots)
+    frames, reports, seconds = marching.march(scenes, states, files[0], chunk.slots, on_progress)
     whole = jax.tree.map(lambda a, b: np.concatenate([a[:, None], b], axis=1), states, frames)
-    shared = (time.perf_counter() - began) / len(files)
     return [
         _outcome(
             number,
@@ -180,7 +179,7 @@ def compute(
             pick(scenes, k),
             pick(whole, k),
             pick(reports, k),
-            shared,
+            seconds[k],
             chunk.trajectories,
         )
         for k, (number, file) in enumerate(zip(numbers, files, strict=True))
@@ -225,59 +224,6 @@ def _build_all(files: Sequence[SceneFile], slots: int) -> tuple[Scene, State]:
     order = np.argsort(np.concatenate(list(forms.values())))
     scenes: Scene = jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *parts)
     return scenes, scenes.start
-
-
-def _compile(scenes: Scene, states: State, file: SceneFile, slots: int) -> None:
-    """Has the program of `_run` compiled, by running it with points that take no steps."""
-    over = replace(new_stats(), status=jnp.array(Status.NON_FINITE, jnp.int32))
-    batch = shard(scenes, states, repeat(over, len(states.time)), slots=slots)
-    jax.block_until_ready(advance(batch, *_piece(file))[1])
-
-
-def _piece(file: SceneFile) -> tuple[int, int]:
-    """Frames of a piece of a run, and steps of a frame."""
-    n_frames = file.n_frames
-    pieces = max(k for k in range(1, PIECES + 1) if n_frames % k == 0)
-    return n_frames // pieces, file.steps_per_frame
-
-
-def _run(
-    scenes: Scene,
-    states: State,
-    file: SceneFile,
-    slots: int,
-    on_progress: Callable[[float], None],
-) -> tuple[State, RolloutStats]:
-    """All frames of all points, and how they went.
-
-    Points whose contacts do not fit into their lists are computed again with longer ones.
-    """
-    count, n_frames = len(states.time), file.n_frames
-    frames_of_piece, steps_per_frame = _piece(file)
-    batch, parts = shard(scenes, states, slots=slots), []
-    for done in range(frames_of_piece, n_frames + 1, frames_of_piece):
-        batch, part = advance(batch, frames_of_piece, steps_per_frame)
-        parts.append(all_runs(batch, part))
-        on_progress(count * done / n_frames)
-    frames = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1), *parts)
-    reports = all_runs(batch, batch.reports)
-    short = np.flatnonzero(reports.status == Status.CAPACITY)
-    if not short.size:
-        return frames, reports
-    again = _run(
-        enlarge(pick(scenes, short)),
-        pick(states, short),
-        file,
-        slots,
-        lambda done: on_progress(count),  # for `Cancelled`
-    )
-
-    def put(old: np.ndarray, new: np.ndarray) -> np.ndarray:
-        old = np.array(old)
-        old[short] = new
-        return old
-
-    return jax.tree.map(put, (frames, reports), again)
 
 
 def _outcome(
