@@ -18,7 +18,7 @@ from ...integrate.step import Scene
 from ...results import dataset as trajectory
 from ...results import summary as summaries
 from ...rods.rod import State
-from ...scenes.build import build
+from ...scenes.build import build, build_unchecked
 from ...scenes.file import SceneFile
 from ...scenes.ingredients import (
     ContactTable,
@@ -31,6 +31,7 @@ from ...scenes.ingredients import (
 from ...scenes.parameters import place_of
 from ...scenes.shape import touching_pairs
 from ..batch import build_many, pick
+from ..turns import takes_turns
 from . import marching
 
 T = TypeVar("T")
@@ -43,6 +44,9 @@ INVALID = "invalid"
 
 _preparing = threading.Lock()
 """What one thread has compiled for its points, others need not."""
+
+_examples: dict[Hashable, SceneFile] = {}
+"""A file of each form."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +172,8 @@ def compute(
     """
     numbers, files = list(chunk.files), list(chunk.files.values())
     with _preparing:
-        scenes, states = _build_all(files, chunk.slots)
+        scenes = _build_all(files, chunk.slots)
+        states = scenes.start
         marching.prepare(scenes, states, files[0], chunk.slots)
     frames, reports, seconds = marching.march(scenes, states, files[0], chunk.slots, on_progress)
     whole = jax.tree.map(lambda a, b: np.concatenate([a[:, None], b], axis=1), states, frames)
@@ -206,24 +211,33 @@ def compute_surely(
     return outcomes
 
 
-def _build_all(files: Sequence[SceneFile], slots: int) -> tuple[Scene, State]:
-    """The scenes and states of points, with a leading axis of points, on the host.
+def _build_all(files: Sequence[SceneFile], slots: int) -> Scene:
+    """The scenes of points, with a leading axis of points, on the host.
 
-    Always built for at least so many slots, for chunks of fewer points to share a program.
+    Those of one form are built of the file of the first of them that this process has had: a
+    program that builds scenes is one of a file.
     """
-    forms: dict[Hashable, list[int]] = {}
-    for k, file in enumerate(files):
-        forms.setdefault(_form(file), []).append(k)
+    kept = [_examples.setdefault(_form(file), file) for file in files]
+    if takes_turns():
+        built = [
+            build_unchecked(example, file.parameters)
+            for example, file in zip(kept, files, strict=True)
+        ]
+        singly = [replace(scene, source=None) for scene in jax.device_get(built)]
+        return jax.tree.map(lambda *leaves: np.stack(leaves), *singly)
+    forms: dict[SceneFile, list[int]] = {}
+    for k, example in enumerate(kept):
+        forms.setdefault(example, []).append(k)
     parts = []
-    for alike in forms.values():
+    for example, alike in forms.items():
+        # Always for at least so many slots, for chunks of fewer points to share a program.
         spare = max(slots - len(alike), 0)
         values = [files[k].parameters for k in [*alike, *alike[:1] * spare]]
         columns = {name: np.array([v[name] for v in values], float) for name in values[0]}
-        built = jax.tree.map(np.asarray, build_many(files[alike[0]], columns))
+        built = jax.tree.map(np.asarray, build_many(example, columns))
         parts.append(pick(built, slice(len(alike))))
     order = np.argsort(np.concatenate(list(forms.values())))
-    scenes: Scene = jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *parts)
-    return scenes, scenes.start
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *parts)
 
 
 def _outcome(
