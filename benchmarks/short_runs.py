@@ -11,12 +11,12 @@ programs on two, batch by batch. Written are
 
 - runs_per_s: by wall time;
 - speedup: of wall times, two processors over one;
-- at_once: how many runs were under way on the average, which is as many as processors where none
-  waits for work;
+- at_once: how many threads computed or waited for a processor, on the average, by the kernel's
+  account: as many as processors where none waits for work or for another thread;
 - processor_ms: processor time of the whole process for each run;
 - expected: the speedup where nothing else computes, by at_once and processor_ms: how many times
-  as many runs are under way, over how many times as much processor time each takes. Other work on
-  the machine takes part in `speedup`, but hardly in this.
+  as many threads compute, over how many times as much processor time a run takes. Other work on the
+  machine takes part in `speedup`, but hardly in this.
 
 Last, the command: `derjax sweep` of 1,000 such runs of either robot, from rest, as whole processes
 with programs compiled before. Linux only. Writes short_runs.csv, .md and .png.
@@ -29,8 +29,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +41,6 @@ import numpy as np
 import pandas as pd
 
 import derjax
-from derjax.runs import turns
 from derjax.runs.batch import build_many, march_many, pick, repeat
 from derjax.scenes.file import SceneFile
 
@@ -107,42 +106,27 @@ class Runs:
         self._file, self._start = file_of(robot), jax.device_get(start_of(robot))
 
     def batch(self, size: int) -> tuple[float, float, float]:
-        """Wall and processor time (s) of a batch, and how many runs were under way at a time."""
+        """Wall and processor time (s) of a batch, and how many threads could compute at a time."""
         file = self._file
         scenes = jax.device_get(build_many(file, numbers(size)))
         states = jax.device_get(repeat(self._start, size))
-        began, cpu = time.perf_counter(), time.process_time()
-        with timed_runs() as seconds:
-            _, reports = march_many(scenes, states, file.n_frames, file.steps_per_frame)
+        began, cpu, demand = time.perf_counter(), time.process_time(), wanted()
+        _, reports = march_many(scenes, states, file.n_frames, file.steps_per_frame)
         wall, cpu = time.perf_counter() - began, time.process_time() - cpu
+        demand = (wanted() - demand) / wall
         failed = np.flatnonzero(reports.status)
         if failed.size:
             raise RuntimeError(f"{failed.size} of {size} runs failed, the first is {failed[0]}")
-        return wall, cpu, sum(seconds) / wall
+        return wall, cpu, demand
 
 
-@contextmanager
-def timed_runs() -> Iterator[list[float]]:
-    """The wall times of single runs, as they are marched meanwhile."""
-    seconds: list[float] = []
-    program = turns.program
-
-    def timed(*arguments: Any) -> turns.March:
-        march = program(*arguments)
-
-        def run(*run: Any) -> Any:
-            began = time.perf_counter()
-            done = march(*run)
-            seconds.append(time.perf_counter() - began)
-            return done
-
-        return run
-
-    turns.program = timed
-    try:
-        yield seconds
-    finally:
-        turns.program = program
+def wanted() -> float:
+    """Processor time (s) that the threads of this process have had, or have waited for."""
+    total = 0
+    for task in Path("/proc/self/task").iterdir():
+        with suppress(OSError):  # it has ended meanwhile
+            total += sum(map(int, (task / "schedstat").read_text().split()[:2]))
+    return 1e-9 * total
 
 
 def measure(robot: str, sizes: Sequence[int], rounds: int) -> list[dict[str, Any]]:
