@@ -5,7 +5,8 @@
 The default robot (30 nodes) in steps that adapt, with motors of 20 to 100 rpm and other drag
 prefactors: 32 single runs one after another with one compiled program, and the same runs, or some
 of them, in batches. A device is a processor. Ratios are of wall times, of the same runs, measured
-in turn in one process; the best of some rounds. Batches of 8 also as lanes of one `vmap`.
+in turn in one process; the best of some rounds. Runs go by turns, each processor taking the next
+when it is free; batches of 8 also as lanes of one `vmap`, on a mesh of devices.
 
 Last, what a user sees who has 32 scene files: one command `derjax simulate` for each, and one
 `derjax sweep` for all of them, both with programs that were compiled before. Here a process starts
@@ -27,7 +28,8 @@ import numpy as np
 import pandas as pd
 
 import derjax
-from derjax.runs.batch import ALL, advance, build_many, processors, shard, use_all_processors
+from derjax.runs.batch import ALL, advance, build_many, march_many, shard, use_all_processors
+from derjax.runs.turns import processors
 from derjax.scenes.file import SceneFile
 
 from .command import command_line
@@ -68,6 +70,8 @@ def measure(end: float, rounds: int) -> list[dict[str, object]]:
 
         def run() -> object:
             scenes = build_many(file, numbers)
+            if lanes == 1:  # by turns
+                return march_many(scenes, scenes.start, n_frames, steps)
             return advance(shard(scenes, scenes.start), n_frames, steps, lanes)[1]
 
         return run

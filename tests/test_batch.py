@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 from typing import Any
 
 import jax
@@ -13,7 +14,7 @@ import pytest
 
 from derjax import RolloutStats, Scene, SceneFile, State, Status, build, march_frames, roll_frames
 from derjax.core.pytree import replace
-from derjax.runs import batch
+from derjax.runs import batch, turns
 from derjax.runs.batch import (
     ALL,
     advance,
@@ -85,6 +86,24 @@ def test_scenes_built_together_are_those_built_alone():
 @pytest.mark.parametrize("lanes", [None, 2, ALL])
 def test_runs_of_a_batch_are_those_alone(singles, lanes):
     assert_same(march_many(*scenes_and_states(), N_FRAMES, STEPS, lanes=lanes), singles)
+
+
+def test_a_processor_that_is_free_takes_the_next_run(singles, monkeypatch):
+    """The first run ends when all others have been done, which it would wait for in vain."""
+    others = threading.Semaphore(0)
+
+    def program(scene: Scene, *rest: Any) -> Any:
+        if scene.parameters["rpm"] == RATES[0]:
+            for _ in RATES[1:]:
+                assert others.acquire(timeout=60)
+        else:
+            others.release()
+        return compiled(scene, *rest)
+
+    compiled = turns.program
+    monkeypatch.setattr(turns, "program", program)
+    monkeypatch.setattr(turns, "processors", lambda: 2)
+    assert_same(march_many(*scenes_and_states(), N_FRAMES, STEPS), singles)
 
 
 def test_other_numbers_use_the_same_program(monkeypatch):

@@ -6,24 +6,27 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import jax
 import pytest
 import xarray as xr
 
-from derjax import march_frames
 from derjax.commands.main import main
 from derjax.core.errors import InputError
-from derjax.runs import batch
+from derjax.runs import turns
 from derjax.runs.sweeps import dask as farm
 from derjax.runs.sweeps import points
 from derjax.runs.sweeps import sweep as sweeps
 from derjax.runs.sweeps.figure import figure
 from derjax.runs.sweeps.file import PLACES, _fields, load_sweep
 from derjax.runs.sweeps.points import Chunk, compute
+from derjax.runs.sweeps.threads import compute_all as by_threads
+from derjax.runs.turns import stored_march
 from derjax.scenes.file import SceneFile
 
 SCENE = """
@@ -45,10 +48,10 @@ C_t = [4.0, 4.8]
 
 
 @pytest.fixture(scope="module", autouse=True)
-def one_device() -> Iterator[None]:
-    """However many processors there are; other tests share the process."""
+def one_processor() -> Iterator[None]:
+    """However many there are: points are done in their order."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(batch, "use_all_processors", lambda: None)
+        patch.setattr(turns, "processors", lambda: 1)
         yield
 
 
@@ -153,23 +156,68 @@ def test_other_choices_make_other_programs(directory):
 
 def test_chunks_of_one_program_are_compiled_once(directory, monkeypatch):
     monkeypatch.setattr(sweeps, "ON_A_CPU", 3)
-    traced, chunks = [], []
+    monkeypatch.setattr(sweeps, "CHUNKS_OF_EACH", 1)
+    monkeypatch.setattr(turns, "processors", lambda: 2)
+    compiled, chunks = [], []
 
-    def traced_march(*arguments: Any) -> Any:
-        traced.append(arguments)
-        return march_frames(*arguments)
+    def counted_compile(*arguments: Any) -> Any:
+        compiled.append(arguments)
+        return stored_march.compile(*arguments)
 
     def counted_compute(chunk: Chunk, on_progress: Any) -> list[points.Outcome]:
         chunks.append((len(chunk.files), chunk.slots))
         return compute(chunk, on_progress)
 
-    monkeypatch.setattr(batch, "march_frames", traced_march)
+    monkeypatch.setattr(turns, "_programs", {})
+    monkeypatch.setattr(turns, "stored_march", SimpleNamespace(compile=counted_compile))
     monkeypatch.setattr(points, "compute", counted_compute)
     (directory / "scene.toml").write_text(SCENE.replace("0.4", "0.3"))  # a program of its own
     argv = ["sweep", str(directory / "sweep.toml"), "-o", str(directory / "out")]
     assert main([*argv, "--quiet", "--no-figures"]) == 0
-    assert chunks == [(3, 3), (3, 3), (2, 3)]
-    assert len(traced) == 1
+    assert sorted(chunks) == [(2, 3), (3, 3), (3, 3)]
+    assert len(compiled) == 1
+
+
+def test_who_is_free_takes_the_next_chunk(directory, monkeypatch):
+    """The first one ends when all others have been done, which it would wait for in vain."""
+    others = threading.Semaphore(0)
+
+    def compute(chunk: Chunk, on_progress: Any) -> list[points.Outcome]:
+        (number,) = chunk.files
+        if number == 0:
+            for _ in range(4):
+                assert others.acquire(timeout=60)
+        else:
+            others.release()
+        return [points.Outcome(number, {"status": "ok"})]
+
+    monkeypatch.setattr(points, "compute", compute)
+    file = load_sweep(directory / "sweep.toml").file(0)
+    chunks = [Chunk({k: file}, 1) for k in range(5)]
+    found = list(by_threads(chunks, 2, lambda: False, lambda done: None))
+    assert sorted(o.number for outcomes in found for o in outcomes) == [0, 1, 2, 3, 4]
+    assert {o.row["status"] for outcomes in found for o in outcomes} == {"ok"}
+
+
+def test_threads_stop_when_they_are_asked_to(directory, monkeypatch):
+    """What has been done is kept, what is under way is given up, and what waits never begins."""
+    begun: list[int] = []
+
+    def compute(chunk: Chunk, on_progress: Any) -> list[points.Outcome]:
+        (number,) = chunk.files
+        begun.append(number)
+        if number > 0:
+            stop.set()
+            on_progress(0.5)
+        return [points.Outcome(number, {"status": "ok"})]
+
+    stop = threading.Event()
+    monkeypatch.setattr(points, "compute", compute)
+    file = load_sweep(directory / "sweep.toml").file(0)
+    chunks = [Chunk({k: file}, 1) for k in range(5)]
+    found = list(by_threads(chunks, 1, stop.is_set, lambda done: None))
+    assert [outcomes[0].number for outcomes in found] == [0]
+    assert begun == [0, 1]
 
 
 def test_failed_points_are_rows(directory, capsys):
@@ -253,15 +301,22 @@ def test_interrupted_and_resumed(directory, finished, monkeypatch, capsys):
     monkeypatch.setattr(sweeps, "ON_A_CPU", 2)
     out = directory / "out"
     argv = ["sweep", str(directory / "sweep.toml"), "-o", str(out)]
-    told = []
+    told, stopped = [], threading.Event()
 
     def add(self: Any, outcomes: Any, entered: Any = sweeps.Book.add) -> None:
         entered(self, outcomes)
         told.append(len(self.rows))
         if len(self.rows) == 4:
             os.kill(os.getpid(), signal.SIGINT)
+            stopped.set()
+
+    def compute_slowly(chunk: Chunk, on_progress: Any) -> list[points.Outcome]:
+        if 4 in chunk.files:
+            assert stopped.wait(timeout=60)
+        return compute(chunk, on_progress)
 
     with monkeypatch.context() as patch:
+        patch.setattr(points, "compute", compute_slowly)
         patch.setattr(sweeps.Book, "add", add)
         assert main(argv) == 130
     assert told == [0, 2, 4]

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from derjax.commands.main import main
-from derjax.runs import batch
+from derjax.runs import turns
 from derjax.runs.sweeps import sweep as sweeps
 
 SCENE = """
@@ -31,10 +31,10 @@ C_t = [4.0, 4.4, 4.8]
 
 
 @pytest.fixture(scope="module", autouse=True)
-def one_device() -> Iterator[None]:
-    """However many processors there are; other tests share the process."""
+def one_processor() -> Iterator[None]:
+    """However many there are: points are done in their order."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(batch, "use_all_processors", lambda: None)
+        patch.setattr(turns, "processors", lambda: 1)
         yield
 
 

@@ -42,9 +42,8 @@ def run(args: argparse.Namespace) -> int:
     from ..runs.batch import use_all_processors
     from ..runs.sweeps.sweep import Options, sweep  # slow to import
 
-    if args.workers is None and args.scheduler is None:
-        use_all_processors()
     if args.distributed is not None:
+        use_all_processors()
         _join(args.distributed)
     options = Options(
         sweep=args.sweep,

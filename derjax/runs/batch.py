@@ -8,19 +8,20 @@ runs, on every leaf. So parameters, motor rates and initial states may all diffe
 choices of a scene, which are its structure, are the same. Runs do not know of each other: one
 that fails stays where it is, and the others are what they would be alone.
 
-The runs are laid out over a mesh of devices (`spread`) and go on together (`advance`); each device
-takes its own runs at its own pace, and devices wait for each other only at the end. With
-`jax.distributed` the mesh goes over all processes: each calls the same functions with the same
-numbers and gets back either its own runs (`local_runs`) or, by communication, those of all
+A computer without a GPU takes them one after another on each processor (`turns`), whichever is free
+the next. Else the runs are laid out over a mesh of devices (`shard`) and go on together
+(`advance`); each device takes its own runs at its own pace, and devices wait for each other only at
+the end. With `jax.distributed` the mesh goes over all processes: each calls the same functions with
+the same numbers and gets back either its own runs (`local_runs`) or, by communication, those of all
 (`all_runs`).
 
 How a device takes its runs depends on what it is. A GPU takes them all at once, as lanes of one
-`jax.vmap`. A CPU takes them one after another. Lanes would share what starting an operation
-costs, but with 30 nodes most of the time goes into linear algebra, which has nothing to share:
-eight lanes that do exactly the same take 0.8 to 0.9 of the time for each. And lanes that differ
-wait for each other, in every frame for the one with the most steps, in every step for the one
-with the most iterations: eight motor rates from 20 to 100 rpm, in steps that adapt, take 4 times
-as long for each run as one after another, in steps of one length 2 times.
+`jax.vmap`. A CPU takes them one after another there too. Lanes would share what starting an
+operation costs, but with 30 nodes most of the time goes into linear algebra, which has nothing to
+share: eight lanes that do exactly the same take 0.8 to 0.9 of the time for each. And lanes that
+differ wait for each other, in every frame for the one with the most steps, in every step for the
+one with the most iterations: eight motor rates from 20 to 100 rpm, in steps that adapt, take 4
+times as long for each run as one after another, in steps of one length 2 times.
 """
 
 import os
@@ -44,6 +45,7 @@ from ..integrate.step import Scene
 from ..rods.rod import State
 from ..scenes.build import build
 from ..scenes.file import SceneFile
+from .turns import march_by_turns, processors, takes_turns
 
 T = TypeVar("T")
 
@@ -73,13 +75,6 @@ class Batch:
     reports: RolloutStats
     slots: Int[np.ndarray, " p"]
     mesh: Mesh
-
-
-def processors() -> int:
-    """Processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def use_all_processors() -> None:
@@ -187,7 +182,7 @@ def advance(
     """`march_frames` for every run of a batch, in one program.
 
     Args:
-        batch: the runs, as `spread` or this function returns them.
+        batch: the runs, as `shard` or this function returns them.
         n_frames: number of frames, f.
         steps_per_frame: length of a frame, in steps of the scenes' lengths.
         lanes: how many runs a device takes at once, `ALL` for all of them. None: one on a CPU, all
@@ -273,9 +268,12 @@ def march_many(
 ) -> tuple[State, RolloutStats]:
     """`march_frames` for b runs: the states at the ends of frames (b, f, ...) and b reports.
 
-    Arguments as of `spread` and `advance`. The results are on the host, those of all runs
-    in every process.
+    On a CPU every processor takes the next run as soon as it is free, unless devices or lanes are
+    given, which are as those of `shard` and `advance`. The results are on the host, those of all
+    runs in every process.
     """
+    if devices is None and lanes is None and takes_turns():
+        return march_by_turns(scenes, states, n_frames, steps_per_frame, reports)
     batch = shard(scenes, states, reports, devices)
     batch, frames = advance(batch, n_frames, steps_per_frame, lanes)
     return all_runs(batch, (frames, batch.reports))

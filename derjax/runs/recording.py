@@ -13,18 +13,15 @@ import jax
 import numpy as np
 
 from ..core.errors import InputError
-from ..core.programs import stored
-from ..core.pytree import replace
 from ..core.status import Status
-from ..integrate.frames import RolloutStats, march_frames, new_stats
+from ..integrate.frames import RolloutStats, new_stats
 from ..integrate.step import Scene
 from ..io.files import atomic_path
 from ..rods.rod import History, State
 from ..scenes.file import SceneFile
+from .turns import bare, stored_march
 
 Advance = Callable[[State, RolloutStats], tuple[State, RolloutStats]]
-
-_march = stored(march_frames, static=(2, 3))
 
 
 @dataclasses.dataclass
@@ -63,12 +60,11 @@ def compile_frame(scene: Scene, recording: Recording, steps_per_frame: int) -> A
     """The compiled program for one frame; the time that it takes is added to `recording`."""
     began = time.perf_counter()
     state, report = recording.frames[-1], recording.report
-    # Without what no step asks for: scenes that differ in that alone share the program.
-    bare = replace(scene, parameters={}, check_sums={}, initial=None, source=None)
-    compiled = _march.compile(bare, state, 1, steps_per_frame, report)
+    plain = bare(scene)
+    compiled = stored_march.compile(plain, state, 1, steps_per_frame, report)
     recording.compile_time += time.perf_counter() - began
     # From host to host: every operation on a device outside of it would be one more program.
-    return lambda state, report: jax.device_get(compiled(bare, state, report))
+    return lambda state, report: jax.device_get(compiled(plain, state, report))
 
 
 def record(

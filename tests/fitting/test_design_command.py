@@ -98,9 +98,11 @@ def test_a_search_that_is_interrupted_goes_on(folder, capsys):
     done = threading.Event()
     thread = threading.Thread(target=interrupt)
     thread.start()
-    code = command(folder, "--no-figures")
-    done.set()
-    thread.join()
+    try:
+        code = command(folder, "--no-figures")
+    finally:  # or a test that fails would never end
+        done.set()
+        thread.join()
     said = capsys.readouterr()
     assert code == 130
     assert "--resume" in said.err

@@ -1,25 +1,24 @@
 """The points of a sweep: which of them share a program, and what comes out of them."""
 
-import time
+import threading
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
 from ...core.errors import InputError
 from ...core.pytree import Indices, replace
 from ...core.status import Status
-from ...integrate.frames import RolloutStats, new_stats
-from ...integrate.step import Scene, enlarge
+from ...integrate.frames import RolloutStats
+from ...integrate.step import Scene
 from ...results import dataset as trajectory
 from ...results import summary as summaries
 from ...rods.rod import State
-from ...scenes.build import build
+from ...scenes.build import build, build_unchecked
 from ...scenes.file import SceneFile
 from ...scenes.ingredients import (
     ContactTable,
@@ -31,7 +30,9 @@ from ...scenes.ingredients import (
 )
 from ...scenes.parameters import place_of
 from ...scenes.shape import touching_pairs
-from ..batch import advance, all_runs, build_many, pick, repeat, shard
+from ..batch import build_many, pick
+from ..turns import takes_turns
+from . import marching
 
 T = TypeVar("T")
 
@@ -41,8 +42,11 @@ ERROR = "error"
 INVALID = "invalid"
 """Status of a point whose values do not make a scene."""
 
-PIECES = 8
-"""In which a chunk of points is computed, at most, to see how far it has come and to stop it."""
+_preparing = threading.Lock()
+"""What one thread has compiled for its points, others need not."""
+
+_examples: dict[Hashable, SceneFile] = {}
+"""A file of each form."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +163,7 @@ def compute(
 ) -> list[Outcome]:
     """What comes out of points that share a program.
 
-    A point's wall time is its share of that of the chunk, without compilation.
+    A point's wall time is without compilation; of points that go together, its share.
 
     Args:
         chunk: the points.
@@ -167,12 +171,12 @@ def compute(
             `Cancelled`.
     """
     numbers, files = list(chunk.files), list(chunk.files.values())
-    scenes, states = _build_all(files, chunk.slots)
-    _compile(scenes, states, files[0], chunk.slots)
-    began = time.perf_counter()
-    frames, reports = _run(scenes, states, files[0], chunk.slots, on_progress)
+    with _preparing:
+        scenes = _build_all(files, chunk.slots)
+        states = scenes.start
+        marching.prepare(scenes, states, files[0], chunk.slots)
+    frames, reports, seconds = marching.march(scenes, states, files[0], chunk.slots, on_progress)
     whole = jax.tree.map(lambda a, b: np.concatenate([a[:, None], b], axis=1), states, frames)
-    shared = (time.perf_counter() - began) / len(files)
     return [
         _outcome(
             number,
@@ -180,7 +184,7 @@ def compute(
             pick(scenes, k),
             pick(whole, k),
             pick(reports, k),
-            shared,
+            seconds[k],
             chunk.trajectories,
         )
         for k, (number, file) in enumerate(zip(numbers, files, strict=True))
@@ -207,77 +211,33 @@ def compute_surely(
     return outcomes
 
 
-def _build_all(files: Sequence[SceneFile], slots: int) -> tuple[Scene, State]:
-    """The scenes and states of points, with a leading axis of points, on the host.
+def _build_all(files: Sequence[SceneFile], slots: int) -> Scene:
+    """The scenes of points, with a leading axis of points, on the host.
 
-    Always built for at least so many slots, for chunks of fewer points to share a program.
+    Those of one form are built of the file of the first of them that this process has had: a
+    program that builds scenes is one of a file.
     """
-    forms: dict[Hashable, list[int]] = {}
-    for k, file in enumerate(files):
-        forms.setdefault(_form(file), []).append(k)
+    kept = [_examples.setdefault(_form(file), file) for file in files]
+    if takes_turns():
+        built = [
+            build_unchecked(example, file.parameters)
+            for example, file in zip(kept, files, strict=True)
+        ]
+        singly = [replace(scene, source=None) for scene in jax.device_get(built)]
+        return jax.tree.map(lambda *leaves: np.stack(leaves), *singly)
+    forms: dict[SceneFile, list[int]] = {}
+    for k, example in enumerate(kept):
+        forms.setdefault(example, []).append(k)
     parts = []
-    for alike in forms.values():
+    for example, alike in forms.items():
+        # Always for at least so many slots, for chunks of fewer points to share a program.
         spare = max(slots - len(alike), 0)
         values = [files[k].parameters for k in [*alike, *alike[:1] * spare]]
         columns = {name: np.array([v[name] for v in values], float) for name in values[0]}
-        built = jax.tree.map(np.asarray, build_many(files[alike[0]], columns))
+        built = jax.tree.map(np.asarray, build_many(example, columns))
         parts.append(pick(built, slice(len(alike))))
     order = np.argsort(np.concatenate(list(forms.values())))
-    scenes: Scene = jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *parts)
-    return scenes, scenes.start
-
-
-def _compile(scenes: Scene, states: State, file: SceneFile, slots: int) -> None:
-    """Has the program of `_run` compiled, by running it with points that take no steps."""
-    over = replace(new_stats(), status=jnp.array(Status.NON_FINITE, jnp.int32))
-    batch = shard(scenes, states, repeat(over, len(states.time)), slots=slots)
-    jax.block_until_ready(advance(batch, *_piece(file))[1])
-
-
-def _piece(file: SceneFile) -> tuple[int, int]:
-    """Frames of a piece of a run, and steps of a frame."""
-    n_frames = file.n_frames
-    pieces = max(k for k in range(1, PIECES + 1) if n_frames % k == 0)
-    return n_frames // pieces, file.steps_per_frame
-
-
-def _run(
-    scenes: Scene,
-    states: State,
-    file: SceneFile,
-    slots: int,
-    on_progress: Callable[[float], None],
-) -> tuple[State, RolloutStats]:
-    """All frames of all points, and how they went.
-
-    Points whose contacts do not fit into their lists are computed again with longer ones.
-    """
-    count, n_frames = len(states.time), file.n_frames
-    frames_of_piece, steps_per_frame = _piece(file)
-    batch, parts = shard(scenes, states, slots=slots), []
-    for done in range(frames_of_piece, n_frames + 1, frames_of_piece):
-        batch, part = advance(batch, frames_of_piece, steps_per_frame)
-        parts.append(all_runs(batch, part))
-        on_progress(count * done / n_frames)
-    frames = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1), *parts)
-    reports = all_runs(batch, batch.reports)
-    short = np.flatnonzero(reports.status == Status.CAPACITY)
-    if not short.size:
-        return frames, reports
-    again = _run(
-        enlarge(pick(scenes, short)),
-        pick(states, short),
-        file,
-        slots,
-        lambda done: on_progress(count),  # for `Cancelled`
-    )
-
-    def put(old: np.ndarray, new: np.ndarray) -> np.ndarray:
-        old = np.array(old)
-        old[short] = new
-        return old
-
-    return jax.tree.map(put, (frames, reports), again)
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *parts)
 
 
 def _outcome(

@@ -17,7 +17,8 @@ from ...io.output import Output, output_directory
 from ...io.textfile import read_text
 from ...scenes.file import SceneFile
 from ..progress import Progress, interruptible
-from . import points
+from ..turns import at_once, takes_turns
+from . import points, threads
 from .book import FIGURE, IDENTITY, RESULTS, Book, Row, read_rows
 from .file import Sweep, load_sweep
 from .points import INVALID, Cancelled, Chunk, Outcome
@@ -25,10 +26,13 @@ from .points import INVALID, Cancelled, Chunk, Outcome
 DONE, INTERRUPTED = 0, 130
 
 ON_A_CPU, ELSEWHERE = 4, 128
-"""Points of a chunk for every device. On a CPU few, as they are computed one after another."""
+"""Points of a chunk, at most, for every device. On a CPU few: they go one after another."""
 
 MOST_OF_A_WORKER = 8
 """Points of a chunk for a worker."""
+
+CHUNKS_OF_EACH = 4
+"""For a processor or worker, at least, for all to be done at about the same time."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -163,10 +167,13 @@ def _chunks(
     groups: Sequence[Sequence[int]],
 ) -> list[Chunk]:
     """The points of each program, in chunks of about the same size."""
+    unit = 1
     if options.workers is not None:
-        most, unit = min(MOST_OF_A_WORKER, -(-len(files) // (4 * options.workers))), 1
+        most = min(MOST_OF_A_WORKER, -(-len(files) // (CHUNKS_OF_EACH * options.workers)))
     elif options.scheduler is not None:
-        most, unit = MOST_OF_A_WORKER, 1
+        most = MOST_OF_A_WORKER
+    elif takes_turns():
+        most = min(ON_A_CPU, -(-len(files) // (CHUNKS_OF_EACH * at_once())))
     else:
         unit = len(jax.devices())
         most = unit * (ON_A_CPU if jax.default_backend() == "cpu" else ELSEWHERE)
@@ -196,16 +203,25 @@ def _compute(options: Options, plan: Sweep, chunks: Sequence[Chunk], book: Book)
                     book.add(outcomes)
                     progress.update(len(book.rows))
         else:
-            for outcomes in _here(chunks, stopping, lambda d: progress.update(len(book.rows) + d)):
+
+            def tell(done: float) -> None:
+                progress.update(len(book.rows) + done)
+
+            found = (
+                threads.compute_all(chunks, at_once(), stopping, tell)
+                if takes_turns()
+                else _together(chunks, stopping, tell)
+            )
+            for outcomes in found:
                 book.add(outcomes)
                 progress.update(len(book.rows))
         return len(book.rows) + book.lost < total
 
 
-def _here(
+def _together(
     chunks: Sequence[Chunk], stopping: Callable[[], bool], tell: Callable[[float], None]
 ) -> Iterator[list[Outcome]]:
-    """The outcomes of chunks computed by this process, or by all that run the same program."""
+    """The outcomes of chunks, each on all devices of all processes that run the same program."""
 
     def on_progress(done: float) -> None:
         tell(done)

@@ -92,15 +92,20 @@ class TimeTable(Ingredient):
         return {"trbdf2": trbdf2, "euler": euler, "explicit": euler}[self.scheme]
 
     def controller(self, setting: Setting) -> StepSizeController | None:
-        """Errors are measured in the radius of a circle as long as a flagellum, and in rad."""
+        """Errors are measured in the radius of a circle as long as a flagellum.
+
+        Those of angles by how far they move the widest helix; if none is coiled, in rad.
+        """
         if self.tolerance is None or _is_corrected(setting.file):
             return None
         rod, topology = setting.rod, setting.rod.topology
         contour = jnp.sum(rod.rest_length) / setting.file.robot.count / (2 * jnp.pi)
+        radius = setting.numbers.get("helix_radius")
+        turn = 1.0 if radius is None else contour / jnp.max(radius)
         position = np.arange(topology.n_dofs) < 3 * topology.n_nodes
         return StepSizeController(
             tolerance=jnp.asarray(self.tolerance),
-            scale=jnp.where(position, contour, contour / setting.numbers["helix_radius"]),
+            scale=jnp.where(position, contour, turn),
             shortest=jnp.asarray(SHORTEST * setting.file.step),
             order=1 if self.scheme == "euler" else 2,
         )
