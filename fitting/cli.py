@@ -1,6 +1,7 @@
 """`derjax fit`: calibrate the parameters of a scene against tracks."""
 
 import argparse
+import math
 import shlex
 import sys
 import threading
@@ -12,6 +13,7 @@ from derjax.commands.options import add_output, add_quiet
 from derjax.io.output import Output, output_directory
 
 from .calibrate import beginning, calibrate
+from .joint.fit import Solved, calibrate_jointly
 from .outcome import Fit, Progress
 from .report import FIGURE, REPORT, rms, table, write
 from .tracks import Dataset, load_dataset
@@ -78,20 +80,11 @@ def _fit(
 ) -> int:
     """`run`, with files and arguments checked, in a directory that can be written to."""
     if not args.quiet:
-        frames = sum(run.time.size for run in dataset.runs)
-        print(f"{args.dataset}: {len(dataset.runs)} runs, {frames} frames")
+        print(f"{args.dataset}: {_contents(dataset)}")
     printer = _Printer(args.quiet)
     again = f"resume with: {_command(args)} --resume"
     try:
-        fit = calibrate(
-            dataset,
-            args.parameters,
-            initial,
-            progress=printer,
-            compare=not args.no_figures,
-            max_iterations=args.max_iterations,
-            store=store,
-        )
+        fit, _ = _calibrated(args, dataset, initial, store, printer)
     except KeyboardInterrupt:
         printer.clear()
         print(f"derjax: interrupted before there was a result; {again}", file=sys.stderr)
@@ -119,6 +112,42 @@ def _fit(
         return UNFINISHED
     finish(output)
     return 0 if fit.status == "converged" else UNFINISHED
+
+
+def _calibrated(
+    args: argparse.Namespace,
+    dataset: Dataset,
+    initial: dict[str, float],
+    store: Path,
+    printer: "_Printer",
+) -> tuple[Fit, Solved | None]:
+    """The fit, by tracks from rest alone, or by all that there is at once."""
+    if dataset.is_plain:
+        fit = calibrate(
+            dataset,
+            args.parameters,
+            initial,
+            progress=printer,
+            compare=not args.no_figures,
+            max_iterations=args.max_iterations,
+            store=store,
+        )
+        return fit, None
+    return calibrate_jointly(
+        dataset,
+        args.parameters,
+        initial,
+        progress=printer,
+        max_iterations=args.max_iterations,
+        store=store,
+    )
+
+
+def _contents(dataset: Dataset) -> str:
+    frames = sum(run.time.size for run in dataset.runs)
+    words = [f"{len(dataset.runs)} runs, {frames} frames"] if dataset.runs else []
+    rates = sum(rates.motor_rpm.size for rates in dataset.rates)
+    return ", ".join([*words, *([f"speeds at {rates} rates"] if rates else [])])
 
 
 def _command(args: argparse.Namespace) -> str:
@@ -174,7 +203,16 @@ def _print_outcome(fit: Fit) -> None:
         print("\ncorrelation " + " ".join(f"{name:>8}" for name in names))
         for name, row in zip(names, fit.correlation, strict=True):
             print(f"{name:<11} " + " ".join(f"{value:8.3f}" for value in row))
+    if fit.nuisances:
+        print("\nalso estimated")
+        for name, e in fit.nuisances.items():
+            unit = fit.units.get(name, "1")
+            print(f"{name} = {e.value:.6g} +- {e.std:.2g}{'' if unit == '1' else f' {unit}'}")
+    for kind, rho in fit.memory.items():
+        print(f"correlation of the noise from frame to frame, {kind}: {rho:.3f}")
     print("\nresiduals (rms)")
+    for rates in fit.rates:
+        print(f"{rates.name}: {rms(rates.rms)}")
     for one in fit.runs:
         drift = "".join(f", drift along {a} {1e3 * v:.3g} mm/s" for a, v in one.drift.items())
         print(f"{one.run.name}: {rms(one.rms)}{drift}")
@@ -198,6 +236,8 @@ class _Printer:
                 self.clear()
                 print(_line(progress), flush=True)
             elif progress.stage == "compile":
+                for sentence in progress.said:
+                    print(sentence)
                 print("compiling ...", flush=True)
             elif self.live and time.monotonic() - self.shown > 0.2:
                 self.shown = time.monotonic()
@@ -222,4 +262,6 @@ def _line(progress: Progress) -> str:
 
 
 def _left(progress: Progress) -> str:
+    if math.isnan(progress.rate):
+        return ""
     return f"{progress.rate:.0f} steps/s, about {max(0.0, progress.seconds_left):.0f} s left"

@@ -1,6 +1,7 @@
 """Tracked motions, and the scene that they were filmed in."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,8 @@ from derjax.scenes.motortable import covers
 from derjax.scenes.timing import time_grid
 
 from .datasetfile import ANGLE_UNITS, LENGTH_UNITS, DatasetFile, RunFile
+from .joint.file import KnownPrior, NoiseFile, Nuisances, Prior, Shared
+from .joint.rates import Rates, load_rates
 from .observe import ANGLE, CHANNELS
 from .reading import read_track
 
@@ -37,6 +40,10 @@ class Run:
         free_origin: whether only displacements count, not positions.
         drift: whether the robot also drifts with a steady velocity, which is fitted.
         dropped: frames that are left out as something in them was not tracked.
+        steady: whether the robot swims steadily from the first frame on.
+        scene: the robot; None: that of the dataset.
+        own: parameters of which this run has a value of its own.
+        nuisances: what else is estimated, in SI units.
     """
 
     name: str
@@ -49,6 +56,10 @@ class Run:
     free_origin: bool = False
     drift: bool = False
     dropped: int = 0
+    steady: bool = False
+    scene: SceneFile | None = None
+    own: tuple[str, ...] = ()
+    nuisances: Nuisances = field(default_factory=Nuisances)
 
     @property
     def is_angle(self) -> np.ndarray:
@@ -62,13 +73,30 @@ class Dataset:
 
     Attributes:
         scene: the robot, with the parameters to start from.
-        runs: at least one.
+        runs: tracks.
         path: of the dataset file, for reports.
+        rates: speeds of robots that swim steadily.
+        priors: of what is fitted.
+        noise: what residuals are like.
+        shared: what else is estimated, the same for all.
     """
 
     scene: SceneFile
     runs: tuple[Run, ...]
     path: Path | None = None
+    rates: tuple[Rates, ...] = ()
+    priors: Mapping[str, KnownPrior] = field(default_factory=dict)
+    noise: NoiseFile = field(default_factory=NoiseFile)
+    shared: Shared = field(default_factory=Shared)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether all are tracks from rest, of one robot, with independent Gaussian noise."""
+        plain = all(
+            not (run.steady or run.scene or run.own or run.nuisances.given) for run in self.runs
+        )
+        nothing = not (self.rates or self.priors or self.shared.viscosity)
+        return plain and nothing and self.noise == NoiseFile()
 
 
 def load_dataset(path: str | Path) -> Dataset:
@@ -88,12 +116,33 @@ def load_dataset(path: str | Path) -> Dataset:
         )
     for described in file.runs:
         _check_rates(path, described, scene)
-    runs = tuple(_read_run(path.parent / run.track, run) for run in file.runs)
+    scenes = [_scene_of(path, run.scene, scene) for run in file.runs]
+    runs = tuple(
+        _read_run(path.parent / run.track, run, other)
+        for run, other in zip(file.runs, scenes, strict=True)
+    )
     for run, described in zip(runs, file.runs, strict=True):
         track = path.parent / described.track
-        _check_covered(track, run, scene, described)
-        check_plausible(track, run, scene, described)
-    return Dataset(_in_steps_for(runs, scene), runs, path)
+        own = run.scene or scene
+        _check_covered(track, run, own, described)
+        check_plausible(track, run, own, described)
+    return Dataset(
+        _in_steps_for(runs, scene),
+        runs,
+        path,
+        load_rates(path, file.rates, scene),
+        file.priors,
+        file.noise,
+        file.nuisances,
+    )
+
+
+def _scene_of(path: Path, name: str | None, scene: SceneFile) -> SceneFile | None:
+    """The scene that a run names; None if it names none, or that of the dataset."""
+    if name is None:
+        return None
+    other = load_scene(path.parent / name)
+    return None if other == scene else other
 
 
 def _in_steps_for(runs: tuple[Run, ...], scene: SceneFile) -> SceneFile:
@@ -101,12 +150,14 @@ def _in_steps_for(runs: tuple[Run, ...], scene: SceneFile) -> SceneFile:
     if scene.time.step is not None or scene.time.frame is not None:
         return scene
     rates = [scene.fastest_rpm if run.motor_rpm is None else run.motor_rpm for run in runs]
+    if not rates:
+        return scene
     fastest = max(float(np.abs(rate).max()) for rate in rates)
     step = time_grid(scene.time.end, None, None, fastest).step
     return scene.model_copy(update={"time": scene.time.model_copy(update={"step": step})})
 
 
-def _read_run(path: Path, run: RunFile) -> Run:
+def _read_run(path: Path, run: RunFile, scene: SceneFile | None) -> Run:
     track = read_track(path, run)
     rpm = run.motor_rpm
     return Run(
@@ -119,9 +170,34 @@ def _read_run(path: Path, run: RunFile) -> Run:
         sigma_angle=(
             None if run.sigma_angle is None else run.sigma_angle * ANGLE_UNITS[run.angle_unit]
         ),
-        free_origin=run.origin == "track",
+        free_origin=run.origin == "track" or run.start == "steady",
         drift=run.drift,
         dropped=track.dropped,
+        steady=run.start == "steady",
+        scene=scene,
+        own=run.own,
+        nuisances=_in_si(run),
+    )
+
+
+def _in_si(run: RunFile) -> Nuisances:
+    """What else is estimated, in m, s and rad."""
+    length, time = LENGTH_UNITS[run.length_unit], TIME_UNITS[run.time_unit]
+    units = {
+        "origin": length,
+        "drift": length / time,
+        "time_offset": time,
+        "angle_origin": ANGLE_UNITS[run.angle_unit],
+    }
+    return run.nuisances.model_copy(
+        update={
+            name: Prior(
+                mean=None if prior.mean is None else units[name] * prior.mean,
+                std=None if prior.std is None else units[name] * prior.std,
+            )
+            for name, prior in run.nuisances.given.items()
+            if name in units
+        }
     )
 
 
