@@ -14,8 +14,12 @@ from derjax.io.output import Output, output_directory
 
 from .calibrate import beginning, calibrate
 from .joint.fit import Solved, calibrate_jointly
+from .joint.posterior import Posterior, posterior
+from .joint.profile import Profile, profiles
+from .netcdf import NETCDF, write_netcdf
 from .outcome import Fit, Progress
-from .report import FIGURE, REPORT, rms, table, write
+from .page import PAGE, write_page
+from .report import FIGURE, REPORT, as_json, rms, table, write
 from .tracks import Dataset, load_dataset
 from .unfinished import EVALUATIONS, begin, finish, resume
 
@@ -43,6 +47,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="where to start (default: the values of the scene)",
     )
     parser.add_argument("--max-iterations", type=int, default=30, metavar="N", help="(default: 30)")
+    parser.add_argument(
+        "--profile",
+        action="store_true",
+        help="also profile likelihoods: intervals that hold where the model is not linear",
+    )
+    parser.add_argument(
+        "--posterior",
+        action="store_true",
+        help="also draw from the posterior by NUTS (needs pip install 'derjax[bayes]')",
+    )
     add_quiet(parser)
 
 
@@ -84,7 +98,7 @@ def _fit(
     printer = _Printer(args.quiet)
     again = f"resume with: {_command(args)} --resume"
     try:
-        fit, _ = _calibrated(args, dataset, initial, store, printer)
+        fit, solved = _calibrated(args, dataset, initial, store, printer)
     except KeyboardInterrupt:
         printer.clear()
         print(f"derjax: interrupted before there was a result; {again}", file=sys.stderr)
@@ -98,7 +112,17 @@ def _fit(
     for warning in fit.warnings:
         print(f"\nwarning: {warning}", file=sys.stderr)
     try:
-        paths = write(fit, output, figures=not args.no_figures)
+        more = _uncertain(args, solved, fit)
+        paths = [*write(fit, output, figures=not args.no_figures, more=as_json(*more))]
+        write_netcdf(fit, output)
+        paths.append(output.path / NETCDF)
+        if not args.no_figures:
+            robot = solved.robot if solved is not None else None
+            write_page(fit, output, robot, *more)
+            paths.append(output.path / PAGE)
+    except KeyboardInterrupt:
+        print(f"derjax: interrupted; {again}", file=sys.stderr)
+        return INTERRUPTED
     except (InputError, OSError):
         print(f"derjax: what was simulated is in {store}; {again}", file=sys.stderr)
         raise
@@ -114,6 +138,38 @@ def _fit(
     return 0 if fit.status == "converged" else UNFINISHED
 
 
+def _uncertain(
+    args: argparse.Namespace, solved: Solved | None, fit: Fit
+) -> tuple[list[Profile], Posterior | None]:
+    """Profiles and posterior, if they are wanted, and printed."""
+    if solved is None or fit.status == "interrupted":
+        return [], None
+    found, drawn = [], None
+    if args.profile:
+        found = profiles(solved)
+        if not args.quiet:
+            print("\nprofile likelihood, 95 %")
+            for one in found:
+                print(f"{one.name}: {one.ci95[0]:.6g} to {one.ci95[1]:.6g}")
+    if args.posterior:
+        try:
+            drawn = posterior(solved)
+        except SolverError as error:
+            print(f"\nwarning: no posterior: {error}", file=sys.stderr)
+            return found, None
+        if not args.quiet:
+            print(f"\nposterior, 95 % ({drawn.draws[..., 0].size} draws)")
+            for name, (low, high) in drawn.ci95().items():
+                print(f"{name}: {low:.6g} to {high:.6g}")
+        if not drawn.ok:
+            print(
+                f"\nwarning: the posterior has not converged (R hat {drawn.r_hat.max():.3f}, "
+                f"{drawn.divergences} divergences): do not use it",
+                file=sys.stderr,
+            )
+    return found, drawn
+
+
 def _calibrated(
     args: argparse.Namespace,
     dataset: Dataset,
@@ -122,7 +178,7 @@ def _calibrated(
     printer: "_Printer",
 ) -> tuple[Fit, Solved | None]:
     """The fit, by tracks from rest alone, or by all that there is at once."""
-    if dataset.is_plain:
+    if dataset.is_plain and not (args.profile or args.posterior):
         fit = calibrate(
             dataset,
             args.parameters,
@@ -156,6 +212,7 @@ def _command(args: argparse.Namespace) -> str:
     words += ["--parameters", *args.parameters]
     words += ["--start", *args.start] * bool(args.start)
     words += ["--max-iterations", str(args.max_iterations)] * (args.max_iterations != 30)
+    words += ["--profile"] * args.profile + ["--posterior"] * args.posterior
     words += ["--no-figures"] * args.no_figures + ["--quiet"] * args.quiet
     return shlex.join(words)
 
@@ -176,7 +233,7 @@ def _check_output(args: argparse.Namespace, output: Output) -> None:
             f"{unfinished}: here is an unfinished fit: --resume continues it, "
             "--overwrite starts anew"
         )
-    for name in (REPORT, FIGURE):
+    for name in (REPORT, FIGURE, NETCDF, PAGE):
         if (output.path / name).exists():
             raise InputError(f"{output.path / name}: exists already; use --overwrite to replace it")
 

@@ -16,6 +16,8 @@ from matplotlib.figure import Figure
 from derjax.io.output import Output
 from derjax.scenes.extensions import unit_of
 
+from .joint.posterior import Posterior
+from .joint.profile import Profile
 from .observe import ANGLE, CHANNELS
 from .outcome import Fit, RateFit, RunFit
 from .simulate import SimulatedTrack
@@ -38,7 +40,7 @@ def as_dict(fit: Fit) -> dict[str, Any]:
                 "std": _finite(e.std),
                 "ci95": [_finite(end) for end in e.ci95],
                 "widened": e.widened,
-                "unit": fit.units.get(name, unit_of(name)),
+                "unit": as_unit(fit, name),
                 "start": fit.start[name],
             }
             for name, e in fit.estimates.items()
@@ -99,6 +101,11 @@ def as_dict(fit: Fit) -> dict[str, Any]:
     }
 
 
+def as_unit(fit: Fit, name: str) -> str:
+    """The unit of a parameter or nuisance; "1" if it has none."""
+    return fit.units.get(name, unit_of(name))
+
+
 def _finite(number: float) -> float | None:
     return number if math.isfinite(number) else None
 
@@ -108,7 +115,7 @@ def table(fit: Fit) -> str:
     width = max(len(name) for name in fit.estimates)
     lines = []
     for name, e in fit.estimates.items():
-        unit = fit.units.get(name, unit_of(name))
+        unit = as_unit(fit, name)
         unit = "" if unit == "1" else f" {unit}"
         if math.isfinite(e.std):
             # Two significant digits of the error, and the value to the same place.
@@ -138,10 +145,43 @@ def rms(of_kinds: Mapping[str, float]) -> str:
     return ", ".join(parts)
 
 
-def write(fit: Fit, output: Output, figures: bool = True) -> tuple[Path, ...]:
-    """Write fit.json and, if wanted, fit.png into a directory; returns their paths."""
+def as_json(profiles: Sequence[Profile], drawn: Posterior | None) -> dict[str, Any]:
+    """Profiles and posterior as they are written to fit.json."""
+    content: dict[str, Any] = {}
+    if profiles:
+        content["profiles"] = {
+            one.name: {
+                "ci95": [_finite(end) for end in one.ci95],
+                "values": one.values.tolist(),
+                "rise_of_loss": one.rise.tolist(),
+            }
+            for one in profiles
+        }
+    if drawn is not None:
+        content["posterior"] = {
+            "mean": drawn.mean(),
+            "std": drawn.std(),
+            "ci95": drawn.ci95(),
+            "r_hat": dict(zip(drawn.names, drawn.r_hat.tolist(), strict=True)),
+            "effective_draws": dict(zip(drawn.names, drawn.effective.tolist(), strict=True)),
+            "divergences": drawn.divergences,
+        }
+    return content
+
+
+def write(
+    fit: Fit, output: Output, figures: bool = True, more: Mapping[str, Any] | None = None
+) -> tuple[Path, ...]:
+    """Write fit.json and, if wanted, fit.png into a directory; returns their paths.
+
+    Args:
+        fit: what was found.
+        output: where to.
+        figures: whether figures are wanted.
+        more: for fit.json.
+    """
     with output.replacing(REPORT) as temporary:
-        text = json.dumps(as_dict(fit), indent=2, allow_nan=False)
+        text = json.dumps({**as_dict(fit), **(more or {})}, indent=2, allow_nan=False)
         temporary.write_text(text + "\n", encoding="utf-8")
     if not figures:
         return (output.path / REPORT,)

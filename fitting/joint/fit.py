@@ -9,7 +9,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
-from derjax import SolverError
+from derjax import Scene, SolverError, State
 from derjax.integrate.frames import new_stats
 
 from ..explore import without
@@ -46,6 +46,12 @@ class Solved:
     optimum: Optimum[Point]
     known: Uncertainty
     held: np.ndarray
+
+    @property
+    def robot(self) -> tuple[Scene, State] | None:
+        """The robot as it swims, of the first gait; None if all tracks are from rest."""
+        sources = self.problem.sources
+        return sources[0].source.last() if sources else None
 
     @property
     def residuals(self) -> NoisyResiduals:
