@@ -97,7 +97,9 @@ def posterior(
     def standardised(w: Array) -> Array:
         return density(start + scale @ w)
 
-    warmup = blackjax.window_adaptation(blackjax.nuts, standardised, target_acceptance_rate=0.85)
+    warmup: Any = blackjax.window_adaptation(
+        blackjax.nuts, standardised, target_acceptance_rate=0.85
+    )
     keys = jax.random.split(jax.random.key(seed), 2 * chains + 1)
     begins = 0.5 * jax.random.normal(keys[-1], (chains, len(start)))
 
