@@ -53,6 +53,9 @@ def assemble(
     return maker.problem()
 
 
+SLIP = 1.0
+"""rad, by which the phase of a motor of uncertain rate may be off at the end of a track."""
+
 MARGIN = 5.0
 """s, by how much a time offset of which nothing is known may be later."""
 
@@ -143,19 +146,11 @@ class _Maker:
         except InputError as error:
             raise InputError(f'{run.name}: start = "steady": {error}') from None
         self.sources.append(Sourced(found, places, f"run {run.name!r}"))
-        coordinates = _coordinates(run)
-        first = "phase" if found.in_words() == "a periodic orbit" else "roll"
-        given = run.nuisances.phase
-        start: list[int | None] = [None, None]
-        if coordinates or first == "phase":
-            phase = of_prior(f"{run.name}: phase", given, 0.0, 1.0, "rad")
-            start[1 if first == "roll" else 0] = self.unknowns.index(phase)
-        if coordinates and first == "phase":
-            roll = of_prior(f"{run.name}: roll", None, 0.0, 1.0, "rad")
-            start[1] = self.unknowns.index(roll)
+        averaged = _averaged(run, found.in_words() == "a periodic orbit")
+        start = self._start(run, found.in_words() == "a periodic orbit", averaged)
         chosen, mapped = self._maps(run, steady=True)
         place = len(self.sources) - 1
-        self.parts.append(TrackPart(run, place, places, (start[0], start[1]), chosen, mapped))
+        self.parts.append(TrackPart(run, place, places, start, chosen, mapped, averaged))
         own = [u.name.removeprefix(f"{run.name}: ") for u in self.unknowns.every]
         fitted = [
             name
@@ -166,6 +161,28 @@ class _Maker:
             f"{run.name}: compared with {found.in_words()} from the first frame on, without "
             f"simulating the transient; also estimated: {', '.join(fitted)}"
         )
+        if any(averaged):
+            self.said.append(
+                f"{run.name}: as the rate of the motor is uncertain, its phase cannot be told over "
+                "the whole track: how the head moves in every turn of it is averaged over"
+            )
+
+    def _start(
+        self, run: Run, is_orbit: bool, averaged: tuple[bool, bool]
+    ) -> tuple[int | None, int | None]:
+        """Places of the phase and the roll in the first frame, where they are seen."""
+        given = run.nuisances.phase
+        phase = roll = None
+        if is_orbit and not averaged[0]:
+            phase = self.unknowns.index(of_prior(f"{run.name}: phase", given, 0.0, 1.0, "rad"))
+        if not averaged[1] and _coordinates(run):
+            # With one flagellum the robot turned about its way is the robot at another phase.
+            name = f"{run.name}: {'roll' if is_orbit else 'phase'}"
+            prior = None if is_orbit else given
+            roll = self.unknowns.index(of_prior(name, prior, 0.0, 1.0, "rad"))
+        if given is not None and phase is None and (is_orbit or roll is None):
+            raise InputError(f"{run.name}: nuisances.phase: has no effect on what is compared")
+        return phase, roll
 
     def _add_from_rest(
         self, run: Run, scene: SceneFile, names: tuple[str, ...], places: tuple[int, ...]
@@ -280,6 +297,21 @@ class _Maker:
 
 def _coordinates(run: Run) -> tuple[str, ...]:
     return tuple(CHANNELS[c] for c in run.channels if c != ANGLE)
+
+
+def _averaged(run: Run, is_orbit: bool) -> tuple[bool, bool]:
+    """Whether the phase of the motors is lost over a track, as their rate is not known well enough.
+
+    There would be a minimum of the loss for every turn by which the rate may be off.
+    """
+    prior = run.nuisances.motor_rpm
+    if prior is None:
+        return False, False
+    slip = np.inf
+    if prior.std is not None:
+        slip = 2 * np.pi / 60 * prior.std * float(run.time[-1] - run.time[0])
+    lost = bool(slip > SLIP)
+    return lost, lost and not is_orbit
 
 
 def _longer(run: Run) -> Run:

@@ -246,7 +246,7 @@ def _set_phases(problem: Problem, part: TrackPart, number: int, free: Free) -> N
     assert part.source is not None
     point = problem.point(free)
     assert point is not None
-    known = point.gaits[part.source]
+    known = part.known(point)
     time = jnp.asarray(part.clock(part.run.time))
     channels = list(part.run.channels)
     grids = [

@@ -80,6 +80,8 @@ class TrackPart:
         start: places of phase and roll; None for a track from rest, or a phase that says nothing.
         maps: from the track of the robot to what is seen.
         mapped: places of their numbers.
+        averaged: which motions of the head are averaged over: in a turn of the motors, and round
+            the axis; their phase cannot be told over the whole track.
     """
 
     run: Run
@@ -88,10 +90,20 @@ class TrackPart:
     start: tuple[int | None, int | None]
     maps: tuple[Map, ...]
     mapped: tuple[int, ...]
+    averaged: tuple[bool, bool] = (False, False)
 
     @property
     def name(self) -> str:
         return self.run.name
+
+    def known(self, point: Point) -> Known:
+        """The gait, without motions that are averaged over."""
+        assert self.source is not None
+        found = point.gaits[self.source]
+        if not any(self.averaged):
+            return found
+        kept = kept_of(len(found.gait), self.averaged)
+        return Known(found.gait * kept, found.jacobian * kept[:, None])
 
     def clock(self, time: np.ndarray) -> np.ndarray:
         """s, since the first frame of a track that starts steady; since the motor's start else."""
@@ -105,7 +117,7 @@ class TrackPart:
         if self.source is None:
             track, columns = point.tracks[own]
             return jnp.asarray(track), jnp.asarray(columns), self.varied
-        known = point.gaits[self.source]
+        known = self.known(point)
         begin = jnp.array([0.0 if k is None else point.values[k] for k in self.start])
         since = jnp.asarray(self.clock(time))
         track, by_gait, by_start = swimming(jnp.asarray(known.gait), since, begin)
@@ -220,6 +232,16 @@ class RatesPart:
             series=np.arange(2 * count)[there],
             gap=np.ones(int(there.sum())),
         )
+
+
+def kept_of(size: int, averaged: tuple[bool, bool]) -> np.ndarray:
+    """(g,) 1 for numbers of a gait that count, 0 for those of motions that are averaged over."""
+    path = np.ones(((size - RATES) // 4, 4))
+    if averaged[0]:
+        path[1:] = 0.0
+    if averaged[1]:
+        path[:, 1:3] = 0.0
+    return np.concatenate([np.ones(RATES), path.ravel()])
 
 
 def joined(parts: Sequence[Rows]) -> Rows:

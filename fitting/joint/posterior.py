@@ -20,7 +20,7 @@ from ..noise import BEND, DEGREES, LARGEST_RHO
 from .fit import Solved
 from .gait import RATES, Gait, swum
 from .maps import applied
-from .parts import RatesPart, TrackPart
+from .parts import RatesPart, TrackPart, kept_of
 from .surrogate import Polynomial, polynomials
 
 CHAINS, WARM, DRAWS = 2, 400, 1000
@@ -223,7 +223,8 @@ def predicted_by(
         for part in problem.parts:
             if isinstance(part, TrackPart):
                 assert part.source is not None
-                gait = Gait.of(made[part.source](free))
+                packed = made[part.source](free)
+                gait = Gait.of(packed * kept_of(packed.size, part.averaged))
                 time = jnp.asarray(part.clock(part.run.time))
                 phase, roll = (0.0 if k is None else values[k] for k in part.start)
                 track = swum(gait, time, phase, roll)
