@@ -10,6 +10,7 @@ import pytest
 from derjax import InputError
 from fitting import load_dataset
 from fitting.joint.fit import calibrate_jointly
+from fitting.tracks import Dataset
 
 pytestmark = pytest.mark.optimised
 
@@ -35,6 +36,19 @@ def test_speeds_of_another_code_give_its_parameters(speeds, fit) -> None:
     begun = time.process_time()
     calibrate_jointly(speeds)
     assert time.process_time() - begun < 5.0
+
+
+def test_tracks_cut_to_after_the_transient_give_the_same(speeds) -> None:
+    """Tracks of the other code from 10 s on, times counted from there."""
+    data = load_dataset(SPEEDS.parent / "reference" / "dataset.toml")
+    runs = []
+    for run in data.runs:
+        late = run.time >= 10.0
+        time, values = run.time[late] - 10.0, run.values[late]
+        runs.append(replace(run, time=time, values=values, steady=True, free_origin=True))
+    fit, _ = calibrate_jointly(Dataset(speeds.scene, tuple(runs)))
+    for name, (truth, within) in TRUTH.items():
+        assert fit.values[name] == pytest.approx(truth, rel=within)
 
 
 def test_the_decision_is_told(fit) -> None:
