@@ -10,8 +10,13 @@ Importing derjax switches JAX to 64-bit floating point, as slender rods are too 
 and SciPy's linear algebra to one thread, unless `OPENBLAS_NUM_THREADS` or its like says otherwise.
 """
 
+import gc
 import os
 from importlib.metadata import version
+
+# Importing makes much and drops little: a tenth of its time would go into looking for garbage.
+collecting = gc.isenabled()
+gc.disable()
 
 # Else XLA writes a page about processor features for every program that it finds in the
 # compilation cache. Failures are exceptions all the same.
@@ -101,4 +106,9 @@ from .terms.elastic import elasticity as elasticity
 
 __version__ = version("derjax")
 
-del jax, os, use_one_blas_thread, version
+if collecting:
+    if gc.get_freeze_count() == 0:  # nothing that another has put aside
+        gc.freeze()
+        gc.unfreeze()  # all that was made is old now, without having been looked through
+    gc.enable()
+del collecting, gc, jax, os, use_one_blas_thread, version

@@ -95,6 +95,15 @@ def _of_tracks(runs: Sequence[Run]) -> list[_Hypothesis]:
                 tuple(replace(run, drift=True) for run in runs),
             )
         )
+    if ANGLE in channels:
+        hypotheses.append(
+            _Hypothesis(
+                "another zero of the head angle",
+                "head_angle is counted from where the head is when the motor starts; if the film "
+                "begins later, say time_offset, and estimate the zero with the rest",
+                tuple(replace(run, free_angle=True) for run in runs),
+            )
+        )
     for turned in [(c,) for c in channels] + [(c, ANGLE) for c in places if ANGLE in channels]:
         names = " and ".join(CHANNELS[c] for c in turned)
         keys = ", ".join(f'{CHANNELS[c]} = "-..."' for c in turned)

@@ -16,10 +16,8 @@ from .calibrate import beginning, calibrate
 from .joint.fit import Solved, calibrate_jointly
 from .joint.posterior import Posterior, posterior
 from .joint.profile import Profile, profiles
-from .netcdf import NETCDF, write_netcdf
 from .outcome import Fit, Progress
-from .page import PAGE, write_page
-from .report import FIGURE, REPORT, as_json, rms, table, write
+from .report import FIGURE, NETCDF, PAGE, REPORT, as_json, rms, table, write
 from .tracks import Dataset, load_dataset
 from .unfinished import EVALUATIONS, begin, finish, resume
 
@@ -95,6 +93,8 @@ def _fit(
     """`run`, with files and arguments checked, in a directory that can be written to."""
     if not args.quiet:
         print(f"{args.dataset}: {_contents(dataset)}")
+        for run in dataset.runs:
+            print("\n".join(f"{run.name}: {one}" for one in run.said))
     printer = _Printer(args.quiet)
     again = f"resume with: {_command(args)} --resume"
     try:
@@ -114,9 +114,13 @@ def _fit(
     try:
         more = _uncertain(args, solved, fit)
         paths = [*write(fit, output, figures=not args.no_figures, more=as_json(*more))]
+        from .netcdf import write_netcdf  # slow to import
+
         write_netcdf(fit, output)
         paths.append(output.path / NETCDF)
         if not args.no_figures:
+            from .page import write_page
+
             robot = solved.robot if solved is not None else None
             write_page(fit, output, robot, *more)
             paths.append(output.path / PAGE)

@@ -18,6 +18,7 @@ from derjax.io.fields import Finite, Positive, Switch, Table
 
 from .joint.file import KnownPrior, NoiseFile, Nuisances, RatesFile, Shared
 from .observe import CHANNELS
+from .trackkeys import TrackKeys
 
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 ANGLE_UNITS = {"rad": 1.0, "deg": np.pi / 180.0}
@@ -26,10 +27,11 @@ ANGLE_UNITS = {"rad": 1.0, "deg": np.pi / 180.0}
 class Columns(Table):
     """The names that the channels have in the header of the track; those that it has.
 
-    A minus before a name turns the sense of an axis or an angle, as of y in images.
+    A minus before a name turns the sense of an axis or an angle, as of y in images. Without `t` the
+    column of times or frames is that of the program that wrote the table.
     """
 
-    t: str
+    t: str | None = None
     x: str | None = None
     y: str | None = None
     z: str | None = None
@@ -48,8 +50,11 @@ class Columns(Table):
         return {channel: name for channel, name in named.items() if name is not None}
 
 
-class RunFile(Table):
+class RunFile(TrackKeys):
     """[[runs]] One track and how to read it.
+
+    Without `columns` the file is read as the program that wrote it is known to write; keys on how
+    a track is written are those of `TrackKeys`.
 
     `motor_rpm` is one rate for all motors, or a list with one for each. Positions are in
     `length_unit`, or, with `pixel_size`, in pixels of so many of that unit. With `fps` (frames
@@ -73,7 +78,7 @@ class RunFile(Table):
 
     track: str
     motor_rpm: Finite | tuple[Finite, ...] | None = None
-    columns: Columns
+    columns: Columns | None = None
     track_id: Finite | str | tuple[Finite | str, ...] | None = None
     track_column: str | None = None
     length_unit: Literal["m", "cm", "mm", "um"] = "m"
@@ -116,6 +121,11 @@ class RunFile(Table):
                 "transient out with t_start"
             )
         return self
+
+    @property
+    def tracked(self) -> dict[str, str]:
+        """Column name of every channel that was tracked, as far as the file says."""
+        return {} if self.columns is None else self.columns.tracked
 
     @property
     def length(self) -> float:

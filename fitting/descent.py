@@ -109,8 +109,9 @@ def track_loss(
         total, count, status = jnp.zeros(()), 0, jnp.zeros((), jnp.int32)
         for run in chosen:
             at_frames = interpolation(run.time, step)
+            rate = motor_rate(dataset.scene, run)
             observed, report = simulate(
-                dataset.scene, parameters, free, motor_rate(dataset.scene, run), at_frames.n_steps
+                dataset.scene, parameters, free, rate, at_frames.n_steps, run.sight
             )
             error = at_frames(observed)[:, np.array(run.channels)] - run.values
             if run.free_origin:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
 
 from .observe import ANGLE, CHANNELS
 from .tracks import Run
@@ -118,6 +117,8 @@ def goodness(
         values: residuals (m, rad) of every run, NaN where a channel was not tracked.
         size: m, length of the robot.
     """
+    from scipy import special  # slow to import
+
     findings: list[str] = []
     chi2 = p_value = None
     given = np.isfinite(residuals.sigma)
@@ -125,14 +126,14 @@ def goodness(
     scale = exaggeration = 1.0
     if given.any():
         chi2 = float(np.sum((residuals.value[given] / residuals.sigma[given]) ** 2))
-        p_value = float(stats.chi2.sf(chi2, count))
+        p_value = float(special.chdtrc(count, chi2))
         if p_value < UNLIKELY:
             scale = float(np.sqrt(chi2 / count))
             findings.append(
                 f"residuals exceed the noise that was given (chi^2 = {chi2:.4g} for {count} "
                 f"degrees of freedom, that is {scale:.2g} times the noise)"
             )
-        elif stats.chi2.cdf(chi2, count) < UNLIKELY:
+        elif special.chdtr(count, chi2) < UNLIKELY:
             exaggeration = float(np.sqrt(count) / np.sqrt(max(chi2, np.finfo(float).tiny)))
     orders = tuple(
         order(run, column, value[:, column])
@@ -178,8 +179,10 @@ def order(run: Run, column: int, value: Float[np.ndarray, " f"]) -> Order:
     expected = 1 + 2 * plus * minus / n
     spread = np.sqrt(max((expected - 1) * (expected - 2) / (n - 1), 1e-12))
     # Small samples of white noise have the mean correlation -1/n and about the variance 1/n.
+    from scipy import special
+
     tests = (correlation + 1 / n) * np.sqrt(n), (expected - found) / spread
-    p_value = min(1.0, 2 * min(float(stats.norm.sf(max(z, 0.0))) for z in tests))
+    p_value = min(1.0, 2 * min(float(special.ndtr(-max(z, 0.0))) for z in tests))
     return Order(run.name, CHANNELS[run.channels[column]], correlation, found, expected, p_value)
 
 

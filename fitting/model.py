@@ -69,7 +69,9 @@ class Model:
         self.step = dataset.scene.step
         self.rates = [motor_rate(dataset.scene, run) for run in dataset.runs]
         self.steps = [interpolation(run.time, self.step).n_steps for run in dataset.runs]
-        self.simulator = Simulator(dataset.scene, parameters, steps_per_call(max(self.steps)))
+        self.simulator = Simulator(
+            dataset.scene, parameters, steps_per_call(max(self.steps)), dataset.sight
+        )
         self.periods = [_period(dataset, np.asarray(rate)) for rate in self.rates]
         self.work, self.failure = Work(), ""
         self._on_steps, self._lock = on_steps, threading.Lock()
@@ -175,6 +177,8 @@ def _period(dataset: Dataset, rpm: np.ndarray) -> float | None:
     rates = np.unique(np.abs(rpm))
     if dataset.scene.motor_table is not None or dataset.scene.gravity is not None:
         return None
+    if dataset.sight is not None:
+        return None  # the robot rolls: from a fixed side its silhouette is another one then
     return 60.0 / float(rates[0]) if len(rates) == 1 and rates[0] > 0 else None
 
 

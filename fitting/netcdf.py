@@ -14,11 +14,7 @@ from derjax.io.output import Output
 
 from .observe import ANGLE, CHANNELS
 from .outcome import Fit
-from .report import as_unit
-
-NETCDF = "fit.nc"
-
-CHANNEL_UNITS = ("m", "m", "m", "rad")
+from .report import NETCDF, as_unit
 
 
 def to_dataset(fit: Fit) -> xr.Dataset:

@@ -20,7 +20,6 @@ from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.optimize import minimize_scalar
 
 from .uncertainty import KINDS, Residuals
 
@@ -129,6 +128,8 @@ class NoisyResiduals(Residuals):
         def loss(rho: float) -> float:
             new = part.innovations(rho, part.value)
             return part.loss_of(new, part.scale(new), rho)
+
+        from scipy.optimize import minimize_scalar  # slow to import
 
         found = minimize_scalar(loss, bounds=(0.0, LARGEST_RHO), method="bounded")
         rho = float(found.x) if found.fun < loss(0.0) else 0.0

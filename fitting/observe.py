@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from derjax import State, Topology, angles, positions
+from derjax import Scene, State, Topology, angles, positions
 from derjax.rods.head import head_angle, head_of, head_position
 from derjax.rods.kinematics import material_directors, tangents
 
@@ -15,6 +15,25 @@ CHANNELS = ("x", "y", "z", "head_angle")
 """What can be tracked: position of the head node (m) and angle of the head (rad)."""
 
 ANGLE = CHANNELS.index("head_angle")
+
+
+TINY = 1e-6
+"""Part of the length of an edge that makes projected lengths smooth."""
+
+
+def seen(scene: Scene, states: State, sight: int | None) -> Float[Array, "t 4"]:
+    """The channels of a stack of states, as `CHANNELS`: m, m, m, rad.
+
+    Args:
+        scene: the robot.
+        states: a stack of them.
+        sight: None for trackers that follow the head; the axis along which the camera looks for
+            those that follow the whole silhouette, of which positions then are.
+    """
+    channels = observations(scene.rod.topology, states)
+    if sight is None:
+        return channels
+    return channels.at[:, :ANGLE].set(silhouettes(scene, states, sight))
 
 
 def observations(topology: Topology, states: State) -> Float[Array, "t 4"]:
@@ -25,6 +44,44 @@ def observations(topology: Topology, states: State) -> Float[Array, "t 4"]:
     """
     position = head_position(topology, states)
     return jnp.concatenate([position, head_angle(topology, states)[:, None]], axis=1)
+
+
+def silhouettes(scene: Scene, states: State, sight: int) -> Float[Array, "t 3"]:
+    """Centroid (m) of what a camera sees of a robot that it does not resolve: head and filaments.
+
+    The head is a disc; an edge is a rectangle as wide as the rod and as long as it looks from
+    there, less the part that the head hides, which is taken to be all of it within the radius of
+    the head and none beyond, with a smooth passage over the length of the edge. That filaments
+    hide each other is left out: they are thin. Smooth in states and parameters.
+
+    Args:
+        scene: the robot.
+        states: a stack of them.
+        sight: the axis along which the camera looks, 0 to 2; the centroid along it is that of the
+            same areas, and no camera sees it.
+    """
+    topology = scene.rod.topology
+    nodes = positions(topology, states.q)
+    head = nodes[:, head_of(topology).node]
+    start, end = (nodes[:, topology.edge_nodes[:, k]] for k in (0, 1))
+    middle, along = 0.5 * (start + end), end - start
+    length = jnp.linalg.norm(along, axis=-1)
+    across = np.ones(3)
+    across[sight] = 0.0
+    seen_length = _norm(along * across, length)
+    away = _norm((middle - head[:, None]) * across, length)
+    disc, width = scene.parameters["head_radius"], 2.0 * scene.parameters["rod_radius"]
+    out = jnp.clip((away - disc) / length + 0.5, 0.0, 1.0)
+    area = width * seen_length * out**2 * (3.0 - 2.0 * out)
+    ball = jnp.pi * disc**2
+    return (ball * head + jnp.sum(area[..., None] * middle, axis=1)) / (
+        ball + jnp.sum(area, axis=1)[:, None]
+    )
+
+
+def _norm(vector: Float[Array, "... 3"], scale: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Length of vectors, smooth where it vanishes beside `scale`."""
+    return jnp.sqrt(jnp.sum(vector**2, axis=-1) + (TINY * scale) ** 2)
 
 
 def orientations(topology: Topology, states: State) -> Float[Array, "t 3 3"]:

@@ -25,9 +25,7 @@ from .goodness import UNLIKELY, order
 from .joint.posterior import Posterior
 from .joint.profile import RISE, Profile
 from .outcome import Estimate, Fit
-from .report import AFTER, AXES, BEFORE, TRACK, as_unit, figure, rms, table
-
-PAGE = "report.html"
+from .report import AFTER, AXES, BEFORE, PAGE, TRACK, as_unit, figure, rms, table
 
 MOST_LISTED = 60
 """Nuisances that are listed."""

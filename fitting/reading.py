@@ -1,6 +1,5 @@
 """Reading tracks: from the rows of a table to times and positions in SI units."""
 
-import re
 import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,35 +9,18 @@ from jaxtyping import Bool, Float, Int
 
 from derjax import InputError
 from derjax.core.errors import InputWarning
-from derjax.io.fields import TIME_UNITS
-from derjax.io.tables import Numbers, TextTable, read_table, same, seconds
+from derjax.io.tables import Numbers
 
-from .datasetfile import ANGLE_UNITS, RunFile
+from .clock import ROUNDING, check_distinct, check_no_jump, check_one_recording, selected, times
+from .datasetfile import ANGLE_UNITS, Columns, RunFile
+from .formats.layout import signed, unit_in_header
+from .gaps import lost, one_each, unwrapped
+from .observe import ANGLE, CHANNELS
+from .settle import Settled, settle
 
 MIN_FRAMES = 10
 
-ROUNDING = 1e-9
-"""Part of the largest time, or of a turn, by which numbers may be off."""
-
-Times = Float[np.ndarray, " r"]
-Values = Float[np.ndarray, "r c"]
-Lines = Int[np.ndarray, " r"]
-
-TRACK_COLUMNS = frozenset(
-    ("track_id", "track id", "tid", "track", "track no", "particle", "individual", "object")
-)
-"""Names of columns by which programs tell objects apart, in small letters."""
-
-FRAME_COLUMNS = frozenset(
-    ("frame", "frames", "frame_idx", "frame_number", "frame number", "slice", "image", "coords")
-)
-"""Names of columns with the numbers of frames, in small letters."""
-
-MOST_VALUES = 8
-"""Objects that a message lists at most."""
-
-_UNIT = re.compile(r".*[\[(_ ](m|cm|mm|um|\N{GREEK SMALL LETTER MU}m|micron|px|pixel)s?[\])]?")
-_SAME_UNIT = {"\N{GREEK SMALL LETTER MU}m": "um", "micron": "um", "pixel": "px"}
+Rows = Bool[np.ndarray, " r"]
 
 
 @dataclass(frozen=True)
@@ -47,92 +29,162 @@ class Track:
 
     Attributes:
         time: (f,) s since the motor started, increasing.
-        values: (f, c) m and rad, of the channels that `RunFile.columns` names.
+        values: (f, c) m and rad, in the axes of the robot.
+        channels: (c,) which of `CHANNELS` they are, in order.
         dropped: how many frames are left out as something in them was not tracked.
+        keys: how the table was read, with nothing left open.
+        said: what was decided on the way, as sentences.
+        sight: the axis along which the camera looks, of tracks of silhouettes.
     """
 
     time: Float[np.ndarray, " f"]
     values: Float[np.ndarray, "f c"]
+    channels: tuple[int, ...]
     dropped: int
+    keys: RunFile
+    said: tuple[str, ...] = ()
+    sight: int | None = None
+
+
+@dataclass(frozen=True)
+class Seen:
+    """The rows of a track in the order of time, as they stand in the table.
+
+    Attributes:
+        time: (r,) s since the motor started.
+        values: (r, c) of the columns that were tracked, in their own units and axes.
+        lines: (r,) of the file.
+        found: rows with everything in them.
+        said: what was decided, as sentences.
+    """
+
+    time: Float[np.ndarray, " r"]
+    values: Float[np.ndarray, "r c"]
+    lines: Int[np.ndarray, " r"]
+    found: Rows
+    said: tuple[str, ...]
 
 
 def read_track(path: Path, run: RunFile) -> Track:
     """The track in a table, read as a run of a dataset says.
 
     Raises:
-        InputError: there is no such file, it is not a table, a column is missing, a cell is not a
-            number, there are several objects in it, or too few frames.
+        InputError: there is no such file, it is not a table, something about it has to be said by a
+            key, a column is missing, a cell is not a number, or there are too few frames.
     """
     if not path.exists():
         raise InputError(f"{path}: no such file (named as a track by the dataset)")
-    table = read_table(path)
-    tracked = run.columns.tracked
-    names, senses = zip(*(_column(table, name) for name in tracked.values()), strict=True)
-    _check_units(table, run, dict(zip(tracked, names, strict=True)))
-    found = table.numbers([run.columns.t, *names], run.columns.t, _where(table, run))
-    found = _with_times(path, found, [run.columns.t, *names])
-    time, values, lines = _sorted(_times(table, run, found), found)
+    settled = settle(path, run)
+    if settled.asked:
+        raise InputError("\n".join(one.sentence for one in settled.asked))
+    _check_units(settled)
+    return in_si(settled, rows_of(settled))
+
+
+def rows_of(settled: Settled) -> Seen:
+    """The rows of the object that is followed, one for each time, those with nothing marked.
+
+    Raises:
+        InputError: a cell is not a number, or a time is repeated.
+    """
+    table, keys = settled.table, settled.keys
+    columns = columns_of(keys)
+    assert columns.t is not None
+    names = [signed(table, name)[0] for name in columns.tracked.values()]
+    extra = [settled.likelihood, settled.area if keys.several != "nearest" else None]
+    found = table.numbers(
+        [columns.t, *names, *(name for name in extra if name is not None)],
+        columns.t,
+        settled.where,
+    )
+    found = _with_times(table.path, found, [columns.t, *names])
+    time = times(table.path, keys, found)
+    order = np.argsort(time, kind="stable")
+    time, values, lines = time[order], found.values[order, 1:], found.lines[order]
+    further = dict(zip((name for name in extra if name), values[:, len(names) :].T, strict=True))
+    values = values[:, : len(names)]
+    values, said = _without_lost(settled, values, further)
     seen = np.asarray(np.isfinite(values).all(axis=1))
-    _check_distinct(table, run, time[seen], lines[seen])
-    within = _selected(run, time)
-    chosen = within & seen
-    _check_frames(path, run, time, lines, chosen, seen)
-    is_angle = np.array([channel == "head_angle" for channel in tracked])
-    if is_angle.any():
-        angle = values[chosen][:, is_angle][:, 0] * ANGLE_UNITS[run.angle_unit]
-        _check_unwrapped(path, angle, lines[chosen])
-    unit = np.where(is_angle, ANGLE_UNITS[run.angle_unit], run.length)
-    return Track(time[chosen], values[chosen] * unit * senses, int((within & ~seen).sum()))
-
-
-def _column(table: TextTable, name: str) -> tuple[str, float]:
-    """A column and its sense: what the name says, or what stands behind a minus."""
-    if table.find(name) is None and name.startswith("-") and table.find(name[1:]) is not None:
-        return name[1:], -1.0
-    return name, 1.0
-
-
-def _where(table: TextTable, run: RunFile) -> tuple[str, tuple[str, ...]] | None:
-    """Which rows are of the object that the run is about: a column, and its values there."""
-    column = run.track_column or _track_column(table)
-    if run.track_id is None:
-        if column is not None and len(values := _values(table, column)) > 1:
-            raise InputError(
-                f"{table.path}: column {column!r} tells of several objects: {_listed(values)}; "
-                "choose with track_id which one to follow, or give a list of them"
-            )
-        return None
-    if column is None:
-        raise InputError(
-            f"{table.path}: track_id is given, but it is not clear which column it is of; set "
-            f"track_column to one of {', '.join(map(repr, table.names))}"
+    if len(time) > 1 and np.any(np.diff(time[seen]) == 0):
+        time, values, lines, seen, words = _one_of_several(
+            settled, time, values, lines, seen, further
         )
-    values = _values(table, column)
-    for wanted in run.tracks:
-        if not any(same(value, wanted) for value in values):
-            raise InputError(
-                f"{table.path}: track_id = {wanted}: column {column!r} has {_listed(values)}"
-            )
-    return column, run.tracks
+        said += words
+    check_distinct(table.path, keys, time[seen], lines[seen])
+    check_one_recording(table.path, keys, time[seen], lines[seen])
+    return Seen(time, values, lines, seen, tuple(said))
 
 
-def _track_column(table: TextTable) -> str | None:
-    """The column that tells objects apart, if one has a name of such."""
-    for row in (table.names, *table.format.header):
-        for place, name in enumerate(row):
-            if name.lower() in TRACK_COLUMNS:
-                return table.names[place]
-    return None
+def in_si(settled: Settled, rows: Seen) -> Track:
+    """The frames between `t_start` and `t_end` in m and rad, in the axes of the robot.
+
+    Raises:
+        InputError: there are too few, they jump, or are from before the start of the motor.
+    """
+    path, keys = settled.table.path, settled.keys
+    columns = columns_of(keys)
+    within = selected(keys, rows.time)
+    chosen = within & rows.found
+    _check_frames(path, keys, rows, chosen)
+    time, lines = rows.time[chosen], rows.lines[chosen]
+    check_no_jump(path, keys, time, lines)
+    values = rows.values[chosen]
+    radians = ANGLE_UNITS[keys.angle_unit]
+    channels, tracked = [], []
+    matrix = np.eye(3) if keys.axes is None else keys.axes.matrix
+    for k, (channel, name) in enumerate(columns.tracked.items()):
+        _, sense = signed(settled.table, name)
+        if channel == CHANNELS[ANGLE]:
+            period = None if keys.angle_period is None else keys.angle_period * radians
+            angle = unwrapped(path, values[:, k] * radians, period, radians, lines)
+            channels.append(ANGLE)
+            tracked.append(sense * angle)
+            continue
+        if channel == "y" and keys.y_down:
+            if sense < 0:
+                raise InputError(
+                    f"{path}: y_down = true turns y round, and so does the minus before "
+                    f"{name[1:]!r} in columns; keep one of them"
+                )
+            sense = -1.0
+        along = matrix[:, "xyz".index(channel)]
+        axis = int(np.argmax(np.abs(along)))
+        channels.append(axis)
+        tracked.append(sense * along[axis] * keys.length * values[:, k])
+    order = np.argsort(channels)
+    return Track(
+        time,
+        np.stack([tracked[k] for k in order], axis=1),
+        tuple(int(channels[k]) for k in order),
+        _frames_without(rows, within),
+        keys,
+        (*settled.said, *rows.said),
+        _sight(path, keys, channels),
+    )
 
 
-def _values(table: TextTable, column: str) -> list[str]:
-    """What stands in a column, every value once."""
-    return list(dict.fromkeys(table.text(column)))
+def _sight(path: Path, keys: RunFile, channels: list[int]) -> int | None:
+    """The axis along which the camera looks, if it has followed the silhouette of the robot."""
+    places = set(channels) - {ANGLE}
+    if keys.point == "head" or not places:
+        return None
+    if len(places) != 2:
+        raise InputError(
+            f'{path}: point = "silhouette": a camera sees two coordinates of it, but columns has '
+            f"{len(places)}; name two of x, y, z (the robot's axes are said by axes)"
+        )
+    return ({0, 1, 2} - places).pop()
 
 
-def _listed(values: list[str]) -> str:
-    shown = ", ".join(value or "nothing" for value in values[:MOST_VALUES])
-    return shown if len(values) <= MOST_VALUES else f"{shown}, ..."
+def columns_of(keys: RunFile) -> Columns:
+    """The columns of keys that leave nothing open."""
+    assert keys.columns is not None
+    return keys.columns
+
+
+def _frames_without(rows: Seen, within: Rows) -> int:
+    """Times that have rows, but nothing in them."""
+    return len(np.setdiff1d(rows.time[within & ~rows.found], rows.time[rows.found]))
 
 
 def _with_times(path: Path, found: Numbers, names: list[str]) -> Numbers:
@@ -141,124 +193,111 @@ def _with_times(path: Path, found: Numbers, names: list[str]) -> Numbers:
     Raises:
         InputError: a row has a position but no time, or a column has no number at all.
     """
-    missing = np.isnan(found.values)
+    missing = np.isnan(found.values[:, : len(names)])
     for k in np.flatnonzero(missing.all(axis=0)):
         raise InputError(f"{path}: column {names[k]!r} has no numbers; leave it out of columns")
     timed = ~missing[:, 0]
-    if len(lost := np.flatnonzero(missing[:, 0] & ~missing[:, 1:].all(axis=1))):
-        raise InputError(f"{path}: line {found.lines[lost[0]]}, column {names[0]!r}: has no time")
+    if len(without := np.flatnonzero(missing[:, 0] & ~missing[:, 1:].all(axis=1))):
+        line = found.lines[without[0]]
+        raise InputError(f"{path}: line {line}, column {names[0]!r}: has no time")
     return replace(found, values=found.values[timed], lines=found.lines[timed])
 
 
-def _times(table: TextTable, run: RunFile, found: Numbers) -> Times:
-    """The times of rows since the motor started, s."""
-    path, raw, name = table.path, found.values[:, 0], run.columns.t
-    if run.fps is None:
-        if _are_frames(table, name):
-            warnings.warn(
-                f"{path}: column {name!r} seems to hold numbers of frames, which are taken for "
-                f"times in {run.time_unit}; fps says how many frames there are in a second",
-                InputWarning,
-                stacklevel=2,
-            )
-        return seconds(raw, run.time_unit, run.time_offset, found.is_clock)
-    if len(broken := np.flatnonzero(raw % 1)) or found.is_clock:
-        value = "times of a clock" if found.is_clock else f"{raw[broken[0]]:g}"
-        raise InputError(
-            f"{path}: column {name!r} does not hold numbers of frames but {value}; leave out fps"
+def _without_lost(
+    settled: Settled, values: Float[np.ndarray, "r c"], further: dict[str, np.ndarray]
+) -> tuple[Float[np.ndarray, "r c"], list[str]]:
+    """Values with NaN where nothing was found, and the sentences on that."""
+    said: list[str] = []
+    keys = settled.keys
+    place = np.array([channel in "xyz" for channel in columns_of(keys).tracked])
+    if not place.any():
+        return values, said
+    values = values.copy()
+    rows, guessed = lost(values[:, place], keys.sentinels)
+    values[np.ix_(rows, place)] = np.nan
+    if guessed is not None and rows.any():
+        said.append(
+            f"{int(rows.sum())} rows with {guessed:g} for all coordinates count as not found "
+            "(missing = [] says that they are positions)"
         )
-    first = raw.min() if run.first_frame is None else run.first_frame
-    return (raw - first) / run.fps + run.time_offset * TIME_UNITS[run.time_unit]
+    if settled.likelihood is not None:
+        unsure = ~(further[settled.likelihood] >= (keys.likelihood or 0.0))
+        values[np.ix_(unsure, place)] = np.nan
+        said.append(f"{int(unsure.sum())} rows have too small a likelihood")
+    return values, said
 
 
-def _are_frames(table: TextTable, name: str) -> bool:
-    """Whether the header says that a column holds numbers of frames."""
-    cells = [row[table.column(name)] for row in table.format.header]
-    return any(cell.lower().strip("()[]") in FRAME_COLUMNS for cell in cells)
-
-
-def _sorted(time: Times, found: Numbers) -> tuple[Times, Values, Lines]:
-    """Times, other columns and lines in the order of time."""
-    order = np.argsort(time, kind="stable")
-    return time[order], found.values[order, 1:], found.lines[order]
-
-
-def _check_distinct(table: TextTable, run: RunFile, time: Times, lines: Lines) -> None:
-    """`InputError` if two frames are of one time."""
-    if len(again := np.flatnonzero(np.diff(time) == 0)):
-        one, other = sorted(lines[again[0] : again[0] + 2])
+def _one_of_several(
+    settled: Settled,
+    time: np.ndarray,
+    values: np.ndarray,
+    lines: np.ndarray,
+    seen: Rows,
+    further: dict[str, np.ndarray],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, Rows, list[str]]:
+    """One row of each time, if a key or the format says which; the others are taken out."""
+    keys, path = settled.keys, settled.table.path
+    how = keys.several
+    by_format = settled.layout.y_down and keys.track_id is None  # tables of what a picture shows
+    if how is None and by_format and settled.where is None:
+        how = "nearest" if settled.area is None else "largest"
+    if how is None:
+        return time, values, lines, seen, []
+    if how == "largest" and settled.area is None:
+        raise InputError(f'{path}: several = "largest", but no column has areas; say "nearest"')
+    place = [k for k, channel in enumerate(columns_of(keys).tracked) if channel in "xyz"]
+    if not place and how == "nearest":
+        raise InputError(f'{path}: several = "nearest" needs positions; say track_id')
+    area = None if how == "nearest" else further[str(settled.area)]
+    try:
+        kept = one_each(time, values[:, place], seen, area)
+    except ValueError as error:
         raise InputError(
-            f"{table.path}: line {other}, column {run.columns.t!r}: the time of line {one} is "
-            "repeated; if there are several objects in the table, say with track_column which "
-            "column tells them apart and with track_id which one to follow, or keep the rows of "
-            "one only"
-        )
+            f'{path}: several = "nearest": {error}; say several = "largest", or track_id'
+        ) from None
+    others = seen & ~kept
+    words = "the largest" if how == "largest" else "the nearest to the last"
+    said = (
+        f"{int(others.sum())} rows are of other things in the same frames: {words} is taken "
+        f'(several = "{how}")'
+    )
+    rest = ~others
+    return time[rest], values[rest], lines[rest], seen[rest], [said]
 
 
-def _selected(run: RunFile, time: Times) -> Bool[np.ndarray, " r"]:
-    """Which frames lie between `t_start` and `t_end`."""
-    unit = TIME_UNITS[run.time_unit]
-    start = -np.inf if run.t_start is None else (run.t_start + run.time_offset) * unit
-    end = np.inf if run.t_end is None else (run.t_end + run.time_offset) * unit
-    slack = ROUNDING * np.abs(time).max()
-    return (time >= start - slack) & (time <= end + slack)
-
-
-def _check_frames(
-    path: Path,
-    run: RunFile,
-    time: Times,
-    lines: Lines,
-    chosen: Bool[np.ndarray, " r"],
-    seen: Bool[np.ndarray, " r"],
-) -> None:
+def _check_frames(path: Path, keys: RunFile, rows: Seen, chosen: Rows) -> None:
     """`InputError` if frames are from before the start of the motor, or too few."""
-    slack = ROUNDING * np.abs(time).max()
-    if len(early := np.flatnonzero(chosen & (time < -slack))):
+    slack = ROUNDING * np.abs(rows.time).max(initial=0.0)
+    if len(early := np.flatnonzero(chosen & (rows.time < -slack))):
         i = early[0]
         raise InputError(
-            f"{path}: line {lines[i]}, column {run.columns.t!r}: the frame is from "
-            f"{-time[i]:g} s before the motor starts; leave such frames out with "
-            f"t_start = {0.0 - run.time_offset:.15g}, or change time_offset"
+            f"{path}: line {rows.lines[i]}, column {columns_of(keys).t!r}: the frame is from "
+            f"{-rows.time[i]:g} s before the motor starts; leave such frames out with "
+            f"t_start = {0.0 - keys.time_offset:.15g}, or change time_offset"
         )
     if (n := int(chosen.sum())) < MIN_FRAMES:
         said = f"{path}: {n} frames"
-        if n < int(seen.sum()):
-            said += f" of {int(seen.sum())} lie between t_start and t_end"
+        if n < int(rows.found.sum()):
+            said += f" of {int(rows.found.sum())} lie between t_start and t_end"
         raise InputError(f"{said}; at least {MIN_FRAMES} are needed")
 
 
-def _check_unwrapped(path: Path, angle: Float[np.ndarray, " f"], lines: Lines) -> None:
-    """Angles given within one turn jump where they leave it; a simulation's do not."""
-    jumps = np.abs(np.diff(angle))
-    if np.ptp(angle) <= 2 * np.pi * (1 + ROUNDING) and jumps.max() > np.pi:
-        line = lines[int(np.argmax(jumps)) + 1]
-        raise InputError(
-            f"{path}: line {line}: the head angle jumps by {jumps.max():.3g} rad: it seems to "
-            "be given within one turn; add whole turns so that it is continuous"
-        )
-
-
-def _check_units(table: TextTable, run: RunFile, channels: dict[str, str]) -> None:
+def _check_units(settled: Settled) -> None:
     """Warns of positions whose header says another unit than the dataset."""
-    given = "px" if run.pixel_size is not None else run.length_unit
-    units = {name: _unit_of(table, name) for channel, name in channels.items() if channel in "xyz"}
-    said = {unit for unit in units.values() if unit is not None}
+    table, keys = settled.table, settled.keys
+    given = "px" if keys.pixel_size is not None else keys.length_unit
+    named = {
+        name: unit_in_header(table, signed(table, name)[0])
+        for channel, name in columns_of(keys).tracked.items()
+        if channel in "xyz"
+    }
+    said = {unit for unit in named.values() if unit is not None}
     if said - {given}:
-        names = ", ".join(name for name, unit in units.items() if unit is not None)
+        names = ", ".join(name for name, unit in named.items() if unit is not None)
         meant = "in pixels (pixel_size)" if given == "px" else f"length_unit = {given!r}"
         warnings.warn(
             f"{table.path}: columns {names}: the header says {', '.join(sorted(said))}, "
             f"the dataset {meant}",
             InputWarning,
-            stacklevel=2,
+            stacklevel=3,
         )
-
-
-def _unit_of(table: TextTable, name: str) -> str | None:
-    """The unit of length that the header says a column has, if it does."""
-    place = table.column(name)
-    for row in table.format.header:
-        if match := _UNIT.fullmatch(row[place].lower()):
-            return _SAME_UNIT.get(match[1], match[1])
-    return None

@@ -6,12 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from derjax.io.output import Output
 from derjax.scenes.extensions import unit_of
@@ -22,7 +19,11 @@ from .observe import ANGLE, CHANNELS
 from .outcome import Fit, RateFit, RunFit
 from .simulate import SimulatedTrack
 
-REPORT, FIGURE = "fit.json", "fit.png"
+if TYPE_CHECKING:  # slow to import
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+REPORT, FIGURE, NETCDF, PAGE = "fit.json", "fit.png", "fit.nc", "report.html"
 """Names of the files."""
 
 TRACK, BEFORE, AFTER = "#444444", "#b8bcc4", "#c8442b"
@@ -72,6 +73,7 @@ def as_dict(fit: Fit) -> dict[str, Any]:
                 "rms_head_angle": one.rms.get("head_angle"),
                 "drift_m_per_s": one.drift,
                 "frames_left_out": one.run.dropped,
+                "how_the_track_was_read": list(one.run.said),
             }
             for one in fit.runs
         ],
@@ -186,15 +188,19 @@ def write(
     if not figures:
         return (output.path / REPORT,)
     with output.replacing(FIGURE) as temporary:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg  # slow to import
+
         FigureCanvasAgg(figure(fit)).print_figure(str(temporary), format="png", dpi=150)
     return output.path / REPORT, output.path / FIGURE
 
 
-def figure(fit: Fit) -> Figure:
+def figure(fit: Fit) -> "Figure":
     """Tracks over the simulation before and after the fit, one column a run.
 
     Rows: displacement along x (or the first coordinate tracked), head angle, residuals.
     """
+    from matplotlib.figure import Figure
+
     tracked = {channel for one in fit.runs for channel in one.run.channels}
     rows = [c for c in (min(tracked - {ANGLE}, default=None), ANGLE) if c in tracked]
     if fit.rates:
@@ -226,7 +232,7 @@ def figure(fit: Fit) -> Figure:
     return canvas
 
 
-def rates_panels(axes: Sequence[Axes], rates: RateFit) -> None:
+def rates_panels(axes: "Sequence[Axes]", rates: RateFit) -> None:
     """Speed, head rate, and what is left of both, over the rate of the motors."""
     order = np.argsort(rates.motor_rpm)
     rpm = rates.motor_rpm[order]
@@ -256,7 +262,7 @@ def rates_panels(axes: Sequence[Axes], rates: RateFit) -> None:
     axes[0].set_title(rates.name, fontsize=9)
 
 
-def _motion(axis: Axes, one: RunFit, channel: int) -> None:
+def _motion(axis: "Axes", one: RunFit, channel: int) -> None:
     """One channel of a run: the track as points, the simulations as lines."""
     run, scale = one.run, 1.0 if channel == ANGLE else 1e3
     if channel not in run.channels:
@@ -300,7 +306,7 @@ def _offset(one: RunFit, simulated: SimulatedTrack, channel: int) -> float:
     return float(np.mean(at_frames - run.values[seen, run.channels.index(channel)]))
 
 
-def _residuals(axis: Axes, one: RunFit) -> None:
+def _residuals(axis: "Axes", one: RunFit) -> None:
     """Residuals of all channels of a run, positions in mm and angles in units of 0.1 rad."""
     axis.axhline(0.0, color=BEFORE, lw=0.8)
     for place, channel in enumerate(one.run.channels):

@@ -50,6 +50,9 @@ def run_residuals(run: Run, predicted: Predicted) -> Residuals:
         project = np.eye(len(basis)) - basis @ np.linalg.pinv(basis)
         value[:, place] = project @ value[:, place]
         jacobian[:, place] = np.einsum("fg,gcp->fcp", project, jacobian[:, place])
+    if run.free_angle:
+        value[:, ~place] -= value[:, ~place].mean(axis=0)
+        jacobian[:, ~place] -= jacobian[:, ~place].mean(axis=0)
     span = np.where(run.is_angle, 1.0, np.ptp(run.values, axis=0).max(where=place, initial=0.0))
     noise = np.where(run.is_angle, run.sigma_angle or np.nan, run.sigma or np.nan)
     frames = (len(run.time), 1)
@@ -59,7 +62,7 @@ def run_residuals(run: Run, predicted: Predicted) -> Residuals:
         kind=np.tile(run.is_angle.astype(int), frames).ravel(),
         sigma=np.tile(noise, frames).ravel(),
         resolution=np.tile(RESOLUTION * span, frames).ravel(),
-        origins=basis.shape[1] * int(place.sum()),
+        origins=basis.shape[1] * int(place.sum()) + run.free_angle * int((~place).sum()),
     )
 
 

@@ -21,10 +21,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from derjax import RolloutStats, Scene, SceneFile, State, build, roll_frames
+from derjax.core.programs import stored
 from derjax.integrate.frames import march_frames, new_stats
 from derjax.terms.contact.repulsion import Contact
 
-from .observe import observations, orientations
+from .observe import orientations, seen
 from .screw import Motion
 from .tracks import Run
 from .transforms import Parameters
@@ -80,7 +81,12 @@ def motor_rate(scene: SceneFile, run: Run) -> Array:
 
 
 def simulate(
-    scene: SceneFile, parameters: Parameters, free: Float[Array, " p"], rpm: Array, n_steps: int
+    scene: SceneFile,
+    parameters: Parameters,
+    free: Float[Array, " p"],
+    rpm: Array,
+    n_steps: int,
+    sight: int | None = None,
 ) -> tuple[Float[Array, "t 4"], RolloutStats]:
     """Observations (m, rad) at steps 0 to `n_steps`; a function for JAX to differentiate.
 
@@ -89,28 +95,29 @@ def simulate(
     built, state = build_with(scene, parameters, free, rpm)
     states, report = roll_frames(built, state, n_steps, 1)
     whole = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), state, states)
-    return observations(built.rod.topology, whole), report
+    return seen(built, whole, sight), report
 
 
-def _seen(built: Scene, states: State) -> Motion:
-    topology = built.rod.topology
-    seen: Any = observations(topology, states), orientations(topology, states)
-    return Motion(*seen)
+def _seen(built: Scene, states: State, sight: int | None) -> Motion:
+    both: Any = seen(built, states, sight), orientations(built.rod.topology, states)
+    return Motion(*both)
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def _begin(scene: SceneFile, parameters: Parameters, free: Array, rpm: Array) -> Any:
+@partial(stored, static=(0, 1, 4))
+def _begin(
+    scene: SceneFile, parameters: Parameters, free: Array, rpm: Array, sight: int | None
+) -> Any:
     """State and observation at rest, and their tangents along every free parameter."""
 
     def start(free):
         built, state = build_with(scene, parameters, free, rpm)
-        return state, _seen(built, jax.tree.map(lambda x: x[None], state))
+        return state, _seen(built, jax.tree.map(lambda x: x[None], state), sight)
 
     push = jax.vmap(lambda along: jax.jvp(start, (free,), (along,)), out_axes=(None, 0))
     return push(jnp.eye(free.size))
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2))
+@partial(stored, static=(0, 1, 2, 8))
 def _continue(
     scene: SceneFile,
     parameters: Parameters,
@@ -120,6 +127,7 @@ def _continue(
     state: State,
     tangents: State,
     report: RolloutStats,
+    sight: int | None,
 ) -> Any:
     """`n_steps` more steps: ((state, observations), report), tangents of the former."""
 
@@ -127,7 +135,7 @@ def _continue(
         built, _ = build_with(scene, parameters, free, rpm)
         states, new = march_frames(built, state, n_steps, 1, report)
         last = jax.tree.map(lambda x: x[-1], states)
-        return (last, _seen(built, states)), new
+        return (last, _seen(built, states, sight)), new
 
     def push(along, tangent):
         primal, moved, new = jax.jvp(go_on, (free, state), (along, tangent), has_aux=True)
@@ -148,11 +156,13 @@ class Simulator:
         scene: what to simulate.
         parameters: what to differentiate with respect to.
         steps_per_call: length of the compiled rollout; runs are rounded up to a multiple.
+        sight: along which axis silhouettes are seen; None if the head is followed.
     """
 
     scene: SceneFile
     parameters: Parameters
     steps_per_call: int = STEPS_PER_CALL
+    sight: int | None = None
 
     def enlarged(self) -> "Simulator":
         """One whose lists of contacts have room for twice as many, which is another program."""
@@ -183,13 +193,21 @@ class Simulator:
             enough: asked after every call of the program with the motion so far.
         """
         z = jnp.asarray(free)
-        (state, seen), (tangents, d_seen) = _begin(self.scene, self.parameters, z, rpm)
+        (state, seen), (tangents, d_seen) = _begin(self.scene, self.parameters, z, rpm, self.sight)
         seen_so_far, moved_so_far = [jax.device_get(seen)], [jax.device_get(d_seen)]
         report = new_stats()
         done = 0
         while done < n_steps and report.ok:
             ((state, seen), report), (tangents, d_seen) = _continue(
-                self.scene, self.parameters, self.steps_per_call, z, rpm, state, tangents, report
+                self.scene,
+                self.parameters,
+                self.steps_per_call,
+                z,
+                rpm,
+                state,
+                tangents,
+                report,
+                self.sight,
             )
             seen_so_far.append(jax.device_get(seen))
             moved_so_far.append(jax.device_get(d_seen))

@@ -4,10 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
-from derjax import SceneFile, build, load_scene, positions
+from derjax import SceneFile, build, load_scene
 from derjax.core.errors import InputError
 from derjax.io.fields import TIME_UNITS
 from derjax.scenes.load import read_toml
@@ -16,10 +17,11 @@ from derjax.scenes.motortable import covers
 from derjax.scenes.timing import time_grid
 
 from .datasetfile import ANGLE_UNITS, LENGTH_UNITS, DatasetFile, RunFile
+from .direction import check_direction
 from .joint.file import KnownPrior, NoiseFile, Nuisances, Prior, Shared
 from .joint.rates import Rates, load_rates
-from .observe import ANGLE, CHANNELS
-from .reading import read_track
+from .observe import ANGLE, seen
+from .reading import Track, read_track
 
 TYPICAL = 0.02
 """How far robots swim, as a part of the way of a screw with their pitch."""
@@ -39,7 +41,11 @@ class Run:
         sigma_angle: rad, noise of the head angle; None: to be estimated.
         free_origin: whether only displacements count, not positions.
         drift: whether the robot also drifts with a steady velocity, which is fitted.
+        free_angle: whether only changes of the head angle count.
         dropped: frames that are left out as something in them was not tracked.
+        said: what was decided when the track was read, as sentences.
+        sight: the axis along which the camera looks, if the track is of the robot's silhouette;
+            None if it is of the head.
         steady: whether the robot swims steadily from the first frame on.
         scene: the robot; None: that of the dataset.
         own: parameters of which this run has a value of its own.
@@ -55,7 +61,10 @@ class Run:
     sigma_angle: float | None = None
     free_origin: bool = False
     drift: bool = False
+    free_angle: bool = False
     dropped: int = 0
+    said: tuple[str, ...] = ()
+    sight: int | None = None
     steady: bool = False
     scene: SceneFile | None = None
     own: tuple[str, ...] = ()
@@ -98,6 +107,11 @@ class Dataset:
         nothing = not (self.rates or self.priors or self.shared.viscosity)
         return plain and nothing and self.noise == NoiseFile()
 
+    @property
+    def sight(self) -> int | None:
+        """Along which axis all runs with positions see silhouettes; None if they see heads."""
+        return next((run.sight for run in self.runs if not run.is_angle.all()), None)
+
 
 def load_dataset(path: str | Path) -> Dataset:
     """Read and check a dataset file, its scene and its tracks.
@@ -116,16 +130,17 @@ def load_dataset(path: str | Path) -> Dataset:
         )
     for described in file.runs:
         _check_rates(path, described, scene)
+    tracks = [read_track(path.parent / run.track, run) for run in file.runs]
     scenes = [_scene_of(path, run.scene, scene) for run in file.runs]
-    runs = tuple(
-        _read_run(path.parent / run.track, run, other)
-        for run, other in zip(file.runs, scenes, strict=True)
-    )
-    for run, described in zip(runs, file.runs, strict=True):
+    runs = tuple(_run(track, own) for track, own in zip(tracks, scenes, strict=True))
+    for run, one in zip(runs, tracks, strict=True):
+        described = one.keys
         track = path.parent / described.track
         own = run.scene or scene
         _check_covered(track, run, own, described)
         check_plausible(track, run, own, described)
+        check_direction(track, own, described, run.time, run.values, run.channels)
+    _check_alike(path, runs)
     return Dataset(
         _in_steps_for(runs, scene),
         runs,
@@ -157,13 +172,13 @@ def _in_steps_for(runs: tuple[Run, ...], scene: SceneFile) -> SceneFile:
     return scene.model_copy(update={"time": scene.time.model_copy(update={"step": step})})
 
 
-def _read_run(path: Path, run: RunFile, scene: SceneFile | None) -> Run:
-    track = read_track(path, run)
+def _run(track: Track, scene: SceneFile | None) -> Run:
+    run = track.keys
     rpm = run.motor_rpm
     return Run(
         name=Path(run.track).stem,
         time=track.time,
-        channels=tuple(CHANNELS.index(channel) for channel in run.columns.tracked),
+        channels=track.channels,
         values=track.values,
         motor_rpm=rpm[0] if isinstance(rpm, tuple) and len(rpm) == 1 else rpm,
         sigma=None if run.sigma is None else run.sigma * LENGTH_UNITS[run.length_unit],
@@ -173,6 +188,8 @@ def _read_run(path: Path, run: RunFile, scene: SceneFile | None) -> Run:
         free_origin=run.origin == "track" or run.start == "steady",
         drift=run.drift,
         dropped=track.dropped,
+        said=track.said,
+        sight=track.sight,
         steady=run.start == "steady",
         scene=scene,
         own=run.own,
@@ -199,6 +216,16 @@ def _in_si(run: RunFile) -> Nuisances:
             if name in units
         }
     )
+
+
+def _check_alike(path: Path, runs: tuple[Run, ...]) -> None:
+    """`InputError` if some tracks are of heads and others of silhouettes, or from another side."""
+    sights = {run.sight: run.name for run in runs if not run.is_angle.all()}
+    if len(sights) > 1:
+        raise InputError(
+            f"{path}: tracks {', '.join(map(repr, sights.values()))} differ in point, or in the "
+            'side from which the camera sees the silhouette (point = "silhouette"); fit them apart'
+        )
 
 
 def _check_rates(path: Path, run: RunFile, scene: SceneFile) -> None:
@@ -245,9 +272,7 @@ def check_plausible(path: Path, run: Run, scene: SceneFile, described: RunFile) 
     screw = max(robot.each("pitch")) * np.abs(rpm).max() / 60  # m/s
     duration = run.time[-1] - run.time[0]
     moved = np.linalg.norm(position - position[0], axis=1).max()
-    names = ", ".join(
-        name for channel, name in described.columns.tracked.items() if channel in "xyz"
-    )
+    names = ", ".join(name for channel, name in described.tracked.items() if channel in "xyz")
     if moved > size + screw * duration:
         length_unit = described.length_unit
         would = {unit: moved * m / LENGTH_UNITS[length_unit] for unit, m in LENGTH_UNITS.items()}
@@ -262,7 +287,7 @@ def check_plausible(path: Path, run: Run, scene: SceneFile, described: RunFile) 
         )
     if run.free_origin:
         return
-    start = _start_position(scene)[[c for c in run.channels if c != ANGLE]]
+    start = _start_position(scene, run.sight)[[c for c in run.channels if c != ANGLE]]
     distance = float(np.linalg.norm(position[0] - start))
     if distance > 0.5 * size + screw * run.time[0]:
         raise InputError(
@@ -276,11 +301,12 @@ def robot_length(scene: SceneFile) -> float:
     return max(scene.robot.each("axial_length")) + 4 * scene.robot.edge_length
 
 
-def _start_position(scene: SceneFile) -> np.ndarray:
-    """(3,): the head node (m) of the scene at rest."""
+def _start_position(scene: SceneFile, sight: int | None) -> np.ndarray:
+    """(3,): what is tracked (m) of the scene at rest: the head node, or the silhouette."""
     built = build(scene)
     state = built.start
     topology = built.rod.topology
     if topology.head is None:
         raise InputError("the scene's robot has no head to track")
-    return np.asarray(positions(topology, state.q))[topology.head.node]
+    states = jax.tree.map(lambda x: x[None], state)
+    return np.asarray(seen(built, states, sight))[0, :ANGLE]

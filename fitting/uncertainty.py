@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy import stats
 
 KINDS = ("position", "head_angle", "speed", "head_rate", "prior")
 """Kinds of observations that have noise of their own; what is known beforehand is the last."""
@@ -134,11 +133,13 @@ def uncertainty(residuals: Residuals, names: Sequence[str]) -> Uncertainty:
     The covariance is (J^T W J)^-1 with W the inverse variances. Estimated variances are
     corrected for the number of parameters, and the interval is Student's.
     """
+    from scipy import special  # slow to import
+
     dof = residuals.degrees_of_freedom
     _, jacobian = residuals.standardised()
-    quantile = float(stats.norm.ppf(0.975))
+    quantile = float(special.ndtri(0.975))
     if not residuals.noise_given:
-        quantile = float(stats.t.ppf(0.975, dof))
+        quantile = float(special.stdtrit(dof, 0.975))
     _, singular, vt = np.linalg.svd(jacobian, full_matrices=False)
     null = singular <= RANK_TOLERANCE * singular.max(initial=np.finfo(float).tiny)
     inverse = np.where(null, 0.0, 1.0 / np.where(null, 1.0, singular))

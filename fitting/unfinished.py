@@ -71,7 +71,15 @@ def _identity(
     tracks = hashlib.sha256()
     for run in dataset.runs:
         words = (run.name, run.channels, run.motor_rpm, run.sigma, run.sigma_angle)
-        more = (run.free_origin, run.drift, run.steady, run.scene, run.own, run.nuisances)
+        more = (
+            run.free_origin,
+            run.drift,
+            run.sight,
+            run.steady,
+            run.scene,
+            run.own,
+            run.nuisances,
+        )
         tracks.update(repr((*words, *more)).encode())
         for array in (run.time, run.values):
             tracks.update(np.ascontiguousarray(array).tobytes())

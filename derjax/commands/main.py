@@ -19,7 +19,7 @@ from importlib.metadata import EntryPoint, entry_points, version
 from typing import Any
 
 from ..core.errors import InputError, InputWarning, WriteWarning
-from ..core.runtime import use_this_process
+from ..core.runtime import collect_garbage_rarely, use_this_process
 from ..core.status import SolverError
 from ..runs.progress import terminated_like_interrupted
 
@@ -37,6 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Raises:
         SystemExit: after `--help` and `--version`, and when the arguments are wrong.
     """
+    collect_garbage_rarely()
     argv = sys.argv[1:] if argv is None else list(argv)
     commands = {point.name: point for point in entry_points(group=GROUP)}
     try:

@@ -87,6 +87,10 @@ class Indices:
         self._key = (self.array.shape, self.array.tobytes())
         self._hash = hash(self._key)
 
+    def fingerprint(self) -> tuple[object, ...]:
+        """What it means to a program; see `fingerprint`."""
+        return self._key
+
     def __hash__(self) -> int:
         return self._hash
 

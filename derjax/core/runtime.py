@@ -8,6 +8,11 @@ from pathlib import Path
 
 import jax
 
+from .programs import keep_in
+
+TRACED = "traced"
+"""Where, among JAX's compiled programs, those are that have been traced."""
+
 SHORTEST_COMPILATION = 0.2
 """Programs that compile faster than this (s) are not worth keeping."""
 
@@ -17,7 +22,8 @@ THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 
 def use_this_process() -> None:
     """What a process that is derjax's own does first: a command, or a worker of a sweep."""
-    enable_compilation_cache()
+    directory = enable_compilation_cache()
+    keep_in(None if directory is None or "://" in str(directory) else directory / TRACED)
     collect_garbage_rarely()
 
 

@@ -1,6 +1,6 @@
 """What the tables of input files are made of: strict keys, and numbers that are numbers."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -19,3 +19,7 @@ class Table(BaseModel):
     """A TOML table: immutable, and strict about its keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    def fingerprint(self) -> tuple[dict[str, Any], list[str]]:
+        """What it means to a program, see `core.fingerprint`: all keys, and which were given."""
+        return dict(self.__dict__), sorted(self.model_fields_set)

@@ -148,7 +148,7 @@ class TextTable:
             InputError: there is no such column, or a row has too few or too many fields.
         """
         place = self.column(name)
-        return [row[place] for _, row in self._rows()]
+        return [row[place] for _, row in self.rows()]
 
     def numbers(
         self,
@@ -173,7 +173,7 @@ class TextTable:
         readers = [Column(self.path, name, decimal, name == clock) for name in names]
         chosen, wanted = (self.column(where[0]), where[1]) if where is not None else (0, None)
         lines = array("q")
-        for number, (line, row) in enumerate(self._rows(), 1):
+        for number, (line, row) in enumerate(self.rows(), 1):
             if wanted is not None and not any(same(row[chosen], value) for value in wanted):
                 continue
             lines.append(line)
@@ -186,7 +186,7 @@ class TextTable:
             any(reader.clocks for reader in readers),
         )
 
-    def _rows(self) -> Iterator[tuple[int, list[str]]]:
+    def rows(self) -> Iterator[tuple[int, list[str]]]:
         """The rows below the header, with the lines that they are from."""
         kind, lines = self.format, _Lines(self.path, self.encoding)
         reader = csv.reader(lines, delimiter=kind.delimiter, skipinitialspace=True)

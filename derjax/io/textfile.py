@@ -19,8 +19,17 @@ BINARY = {
     b"\x89HDF": "an HDF5 file",
     b"%PDF": "a PDF",
     b"\x1f\x8b": "a compressed file",
+    b"\x89PNG": "a picture (PNG)",
+    b"\xff\xd8\xff": "a picture (JPEG)",
+    b"II*\0": "a picture (TIFF)",
+    b"MM\0*": "a picture (TIFF)",
+    b"RIFF": "a film (AVI)",
+    b"\x1aE\xdf\xa3": "a film (Matroska)",
+    b"Iout": "a region of ImageJ",
 }
 """Files that are often taken for text, by their first bytes."""
+
+ADVICE = "export it as text (CSV)"
 
 LEGACY = ("cp1252", "latin-1")
 """What is assumed of text that is not UTF-8 and has no mark; the second fits any bytes."""
@@ -42,7 +51,9 @@ def encoding_of(path: Path) -> str:
             head = stream.read(4096)
             for first, kind in BINARY.items():
                 if head.startswith(first):
-                    raise InputError(f"{path}: is {kind}, not text; export it as text (CSV)")
+                    raise InputError(f"{path}: is {kind}, not text; {ADVICE}")
+            if head[4:8] == b"ftyp":
+                raise InputError(f"{path}: is a film (MP4), not text; {ADVICE}")
             for mark, name in MARKS.items():
                 if head.startswith(mark):
                     return name

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..core.programs import stored
 from ..rods.topology import Topology
 from ..rods.vectors import cross, dot
 from ..terms.contact.neighbours import closest
@@ -36,7 +37,7 @@ class Closeness(NamedTuple):
     linking_number: Float[Array, "*t"]
 
 
-@partial(jax.jit, static_argnums=0)
+@partial(stored, static=(0,))
 def closeness(topology: Topology, nodes: Float[Array, "t n 3"], diameter: Array) -> Closeness:
     """Of robots with two flagella or more whose nodes are at `nodes` (m)."""
     filaments = [list(pairwise(path)) for path in topology.filaments]
@@ -69,7 +70,7 @@ def winding(pair: Float[Array, "*b 4 3"]) -> Float[Array, "*b"]:
     return jnp.sign(dot(cross(d - c, b - a), c - a)) * sum(angles) / (4.0 * jnp.pi)
 
 
-@partial(jax.jit, static_argnums=1)
+@partial(stored, static=(1,))
 def contact_forces(
     contact: Contact, topology: Topology, nodes: Float[Array, "t n 3"]
 ) -> Float[Array, "t k"]:

@@ -22,6 +22,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Array
 
+from ..core.programs import stored
 from ..integrate.motor import Motor
 from ..integrate.provenance import changed
 from ..integrate.step import Scene
@@ -141,7 +142,7 @@ def _motor(scene: Scene, states: State) -> dict[str, tuple[Any, ...]]:
     }
 
 
-@jax.jit
+@stored
 def _motion_of_motor(motor: Motor, time: Array) -> tuple[Array, Array]:
     angle = jax.vmap(motor.rotation, (None, 0))(jnp.zeros(()), time)
     return angle, motor.rate_at(time)
@@ -182,7 +183,7 @@ def _head(topology: Topology, states: State) -> dict[str, tuple[Any, ...]]:
     }
 
 
-@partial(jax.jit, static_argnums=0)  # as one program: quicker than operation by operation
+@partial(stored, static=(0,))  # as one program: quicker than operation by operation
 def _motion_of_head(topology: Topology, states: State) -> dict[str, Array]:
     head = kinematics.head_of(topology)
     return {

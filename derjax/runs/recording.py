@@ -13,6 +13,8 @@ import jax
 import numpy as np
 
 from ..core.errors import InputError
+from ..core.programs import stored
+from ..core.pytree import replace
 from ..core.status import Status
 from ..integrate.frames import RolloutStats, march_frames, new_stats
 from ..integrate.step import Scene
@@ -22,7 +24,7 @@ from ..scenes.file import SceneFile
 
 Advance = Callable[[State, RolloutStats], tuple[State, RolloutStats]]
 
-_march = jax.jit(march_frames, static_argnums=(2, 3))
+_march = stored(march_frames, static=(2, 3))
 
 
 @dataclasses.dataclass
@@ -61,10 +63,12 @@ def compile_frame(scene: Scene, recording: Recording, steps_per_frame: int) -> A
     """The compiled program for one frame; the time that it takes is added to `recording`."""
     began = time.perf_counter()
     state, report = recording.frames[-1], recording.report
-    compiled = _march.lower(scene, state, 1, steps_per_frame, report).compile()
+    # Without what no step asks for: scenes that differ in that alone share the program.
+    bare = replace(scene, parameters={}, check_sums={}, initial=None, source=None)
+    compiled = _march.compile(bare, state, 1, steps_per_frame, report)
     recording.compile_time += time.perf_counter() - began
     # From host to host: every operation on a device outside of it would be one more program.
-    return lambda state, report: jax.device_get(compiled(scene, state, report))
+    return lambda state, report: jax.device_get(compiled(bare, state, report))
 
 
 def record(

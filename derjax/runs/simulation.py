@@ -18,8 +18,6 @@ from ..core.status import SolverError, Status
 from ..integrate.step import Scene, enlarge
 from ..io.output import Output, output_directory
 from ..io.textfile import read_text
-from ..results import dataset as trajectory
-from ..results import summary as summaries
 from ..scenes.build import build
 from ..scenes.file import SceneFile
 from ..scenes.load import load_scene
@@ -123,6 +121,7 @@ def _simulate(options: Options, file: SceneFile, sources: dict[str, str], output
         ) as progress,
     ):
         for _ in record(advance, recording, file.n_frames, with_more_contacts):
+            _import_writers()
             progress.update(frame * recording.n_frames)
             if stopping():
                 interrupted = recording.report.ok and recording.n_frames < file.n_frames
@@ -229,6 +228,11 @@ def _outcome(recording: Recording, advice: str | None) -> dict[str, str]:
     return {"status": status, "message": recording.report.message()}
 
 
+def _import_writers() -> None:
+    """Imports what writes results: after the first step, as it is slow, and long before the end."""
+    from ..results import dataset, summary  # noqa: F401
+
+
 def _write_results(
     options: Options,
     file: SceneFile,
@@ -238,6 +242,9 @@ def _write_results(
     output: Output,
 ) -> dict[str, Any]:
     """Writes trajectory, summary and figures; returns the summary."""
+    from ..results import dataset as trajectory
+    from ..results import summary as summaries
+
     attributes = {
         "title": "Swimming of a soft flagellated robot, computed by derjax",
         "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),

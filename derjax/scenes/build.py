@@ -10,10 +10,12 @@ from jax.core import Tracer
 from jaxtyping import Array
 
 from ..core.errors import InputError
+from ..core.programs import stored
 from ..core.pytree import Indices, replace
 from ..integrate.provenance import check_sums
 from ..integrate.step import Scene
 from ..rods.rod import at_rest
+from ..shapes.numbers import library_of
 from .file import SceneFile
 from .ingredients.ingredient import Setting
 from .parameters import index_of, place_of
@@ -65,9 +67,8 @@ def build_unchecked(scene: SceneFile, parameters: Parameters) -> Scene:
 def _assembled(scene: SceneFile, given: Parameters, shape: Parameters) -> Scene:
     """The scene with some parameters given; those of `shape` say which edges may touch."""
     pairs = touching_pairs(scene, shape) if scene.touching else None
-    numbers = {
-        name: jnp.asarray(value, float) for name, value in scene.parameters_with(given).items()
-    }
+    every = scene.parameters_with(given)
+    numbers = {name: library_of(value).asarray(value, float) for name, value in every.items()}
     return replace(_build(scene, pairs, numbers), source=Source(scene, given))
 
 
@@ -93,6 +94,10 @@ class Source:
         times = file.motor_table and file.motor_table.time
         self._key = str((content, times, sorted(self.given)))
         self._hash = hash(self._key)
+
+    def fingerprint(self) -> str:
+        """What it means to a program; see `core.fingerprint`."""
+        return self._key
 
     def __hash__(self) -> int:
         return self._hash
@@ -126,7 +131,7 @@ def _check_numbers(scene: SceneFile, given: Parameters) -> None:
         )
 
 
-@partial(jax.jit, static_argnums=(0, 1))  # as one program: quicker than operation by operation
+@partial(stored, static=(0, 1))  # as one program: quicker than operation by operation
 def _build(scene: SceneFile, pairs: Indices | None, p: dict[str, Array]) -> Scene:
     geometry = geometry_of(scene, p)
     rod, state = at_rest(geometry.topology, geometry.nodes)
@@ -135,7 +140,7 @@ def _build(scene: SceneFile, pairs: Indices | None, p: dict[str, Array]) -> Scen
     terms = [term for table in scene.ingredients for term in table.terms(setting)]
     for name, table in scene.extensions:
         terms.append(table.term({key: p[f"{name}.{key}"] for key in table.NUMBERS}, rod))
-    return Scene(
+    made = Scene(
         rod=rod,
         terms=tuple(terms),
         motor=scene.motor.motor(setting),
@@ -148,3 +153,5 @@ def _build(scene: SceneFile, pairs: Indices | None, p: dict[str, Array]) -> Scen
         check_sums=check_sums(terms),
         initial=state,
     )
+    # To JAX numbers of Python are "weakly typed"; it would compile anew for scenes with other ones.
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.result_type(leaf)), made)

@@ -6,9 +6,8 @@ from functools import lru_cache
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from ..core.errors import InputError
 from ..core.pytree import Indices, replace
@@ -29,18 +28,24 @@ from ..terms.contact.segments import distance
 from .file import SceneFile
 from .parameters import EACH
 
+PARTS = 16
+"""Of an edge, when it is asked whether it overlaps another."""
+
+_distance = jax.jit(distance)
+
 SHAPE = ("helix_radius", "pitch", "axial_length", "rod_radius", "separation", "bend", "phase")
 """The parameters that say which edges may touch."""
 
 
-def geometry_of(scene: SceneFile, p: Mapping[str, Array]) -> RobotGeometry:
+def geometry_of(scene: SceneFile, p: Mapping[str, Any]) -> RobotGeometry:
     """The nodes (m) of a robot at rest, and how they hang together.
 
     Their number is that of the file's own dimensions.
 
     Args:
         scene: the file.
-        p: its parameters, or others: those of the shape are needed.
+        p: its parameters, or others: those of the shape are needed. With numbers of NumPy
+            nothing is compiled.
     """
     geometry = _joined(scene, p)
     if not geometry.topology.motors:
@@ -49,7 +54,7 @@ def geometry_of(scene: SceneFile, p: Mapping[str, Array]) -> RobotGeometry:
     return geometry._replace(topology=topology)
 
 
-def _joined(scene: SceneFile, p: Mapping[str, Array]) -> RobotGeometry:
+def _joined(scene: SceneFile, p: Mapping[str, Any]) -> RobotGeometry:
     """The flagella, and what joins them."""
     robot = scene.robot
     filaments, edge = _filaments(scene, p)
@@ -57,13 +62,13 @@ def _joined(scene: SceneFile, p: Mapping[str, Array]) -> RobotGeometry:
         return single_flagellum(filaments[0], edge)
     if robot.kind == "two_flagella":
         return two_flagella((filaments[0], filaments[1]), edge, p["separation"])
-    separation = p.get("separation", jnp.zeros(()))
+    separation = p.get("separation", np.zeros(()))
     if robot.kind == "clamped":
         return clamped(filaments, edge, separation, robot.clamped_tip)
     return branched(filaments, edge, separation)
 
 
-def _filaments(scene: SceneFile, p: Mapping[str, Array]) -> tuple[list[Array], Array]:
+def _filaments(scene: SceneFile, p: Mapping[str, Any]) -> tuple[list[Any], Any]:
     """The filaments of a robot, each in a frame of its own, and the length of the head's edges.
 
     That is the length of those of the flagella, or its mean if they differ.
@@ -81,15 +86,15 @@ def _filaments(scene: SceneFile, p: Mapping[str, Array]) -> tuple[list[Array], A
         else:
             n_edges = max(3, math.floor(own_length / robot.edge_length + 1e-9))
             edges.append(length / n_edges)
-            nodes = arc(length, p.get("bend", jnp.zeros(())), n_edges)
+            nodes = arc(length, p.get("bend", np.zeros(())), n_edges)
         filaments.append(rotated_about_x(_of(p["phase"], k), nodes) if "phase" in p else nodes)
     alike = all(np.ndim(p.get(name, 0.0)) == 0 for name in EACH)
     return filaments, edges[0] if alike else sum(edges[1:], edges[0]) / len(edges)
 
 
-def _of(value: Array, flagellum: int) -> Array:
+def _of(value: Any, flagellum: int) -> Any:
     """The number of one flagellum."""
-    return value[flagellum] if jnp.ndim(value) else value
+    return value[flagellum] if np.ndim(value) else value
 
 
 def touching_pairs(scene: SceneFile, numbers: Mapping[str, Any] | None = None) -> Indices:
@@ -119,13 +124,12 @@ def _hashable(value: Any) -> float | tuple[float, ...]:
 
 @lru_cache(maxsize=64)
 def _touching_pairs(scene: SceneFile, shape: tuple[tuple[str, Any], ...]) -> Indices:
-    numbers = dict(shape)
-    with jax.ensure_compile_time_eval():
-        geometry = geometry_of(scene, {name: jnp.asarray(value) for name, value in shape})
-        start, end = geometry.topology.edge_nodes.T
-        nodes = np.asarray(geometry.nodes)
+    numbers = {name: np.asarray(value) for name, value in shape}
+    geometry = geometry_of(scene, numbers)
+    start, end = geometry.topology.edge_nodes.T
+    nodes = np.asarray(geometry.nodes)
     length = np.linalg.norm(nodes[end] - nodes[start], axis=1)
-    pairs = pairs_apart(geometry.topology, length, np.pi * numbers["rod_radius"])
+    pairs = pairs_apart(geometry.topology, length, np.pi * float(numbers["rod_radius"]))
     _check_apart(numbers, nodes[geometry.topology.edge_nodes], pairs)
     return pairs
 
@@ -135,15 +139,19 @@ def _check_apart(
 ) -> None:
     """Refuses a robot whose parts overlap from the start."""
     diameter = 2 * numbers["rod_radius"]
-    middle = edges.mean(axis=1)
-    half = 0.5 * np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)
-    first, second = pairs.array.T
-    apart = np.linalg.norm(middle[first] - middle[second], axis=1) - half[first] - half[second]
-    close = pairs.array[apart < diameter]
+    close = pairs.array
+    for parts in (1, PARTS):  # spheres around parts of the edges: few edges are left to measure
+        places = (np.arange(parts) + 0.5) / parts
+        middle = edges[:, None, 0] + places[:, None] * (edges[:, 1] - edges[:, 0])[:, None]
+        half = 0.5 * np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1) / parts
+        first, second = close.T
+        between = middle[first][:, :, None] - middle[second][:, None]
+        apart = np.linalg.norm(between, axis=-1).min(axis=(1, 2)) - half[first] - half[second]
+        close = close[apart < diameter]
     if len(close) == 0:
         return
     with jax.ensure_compile_time_eval():
-        nearest = float(distance(jnp.asarray(edges[close].reshape(-1, 4, 3))).min())
+        nearest = float(_distance(edges[close].reshape(-1, 4, 3)).min())
     if nearest < (1 - PENETRATION) * diameter:
         hint = "a smaller rod_radius"
         if "separation" in numbers:

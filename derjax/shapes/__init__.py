@@ -3,7 +3,8 @@
 A robot carries filaments: each is given as its nodes in a frame of its own, in which the shaft
 of its motor ends at the origin and points along x (`helix`, `arc`). Positions are
 smooth functions of the dimensions, so that a rollout can be differentiated with respect to the
-shape; the number of nodes is fixed beforehand, on the host.
+shape; the number of nodes is fixed beforehand, on the host. With dimensions of NumPy, and none of
+JAX, nothing is compiled.
 """
 
 from .body import RobotGeometry as RobotGeometry

@@ -2,11 +2,11 @@
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ..rods.topology import Topology
+from .numbers import library_of
 
 Nodes = Float[Array, "n 3"]
 
@@ -27,9 +27,10 @@ class RobotGeometry(NamedTuple):
 
 def rotated_about_x(azimuth: Array | float, nodes: Nodes) -> Nodes:
     """`nodes` turned about the x axis by an angle (rad)."""
-    c, s = jnp.cos(azimuth), jnp.sin(azimuth)
+    xp = library_of(azimuth, nodes)
+    c, s = xp.cos(azimuth), xp.sin(azimuth)
     x, y, z = nodes.T
-    return jnp.stack([x, c * y - s * z, s * y + c * z], axis=1)
+    return xp.stack([x, c * y - s * z, s * y + c * z], axis=1)
 
 
 def distance_from_axis(n_flagella: int, separation: Array) -> Array:
@@ -42,6 +43,7 @@ def on_shaft(filament: Nodes, edge: Array, backwards: int) -> Nodes:
 
     The shaft ends at (edge, 0, 0), after the motor at the origin and `backwards` more nodes.
     """
+    xp = library_of(filament, edge)
     steps = np.arange(-backwards, 2, dtype=float)
-    line = jnp.stack([steps * edge, 0.0 * steps, 0.0 * steps], axis=1)
-    return jnp.concatenate([line, filament + line[-1]])
+    line = xp.stack([steps * edge, 0.0 * steps, 0.0 * steps], axis=1)
+    return xp.concatenate([line, filament + line[-1]])

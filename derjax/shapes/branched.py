@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 from itertools import pairwise
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from ..rods.topology import Head, Topology
 from .body import Nodes, RobotGeometry, distance_from_axis, on_shaft, rotated_about_x
+from .numbers import library_of
 
 
 def branched(filaments: Sequence[Nodes], edge: Array, separation: Array) -> RobotGeometry:
@@ -31,7 +31,7 @@ def branched(filaments: Sequence[Nodes], edge: Array, separation: Array) -> Robo
     for k, filament in enumerate(filaments):
         branch = on_shaft(filament, edge, backwards=arms)
         branch = rotated_about_x(
-            2.0 * np.pi * k / n_flagella, branch + radius * jnp.array([0.0, 1.0, 0.0])
+            2.0 * np.pi * k / n_flagella, branch + radius * np.array([0.0, 1.0, 0.0])
         )
         first_edge, first_hinge = len(edges), len(hinges)
         path = [1, *range(size, size + len(branch))]
@@ -51,4 +51,4 @@ def branched(filaments: Sequence[Nodes], edge: Array, separation: Array) -> Robo
         head=Head(node=0, line=(0, 1), edges=(0,)),
         motors=tuple(motors),
     )
-    return RobotGeometry(jnp.concatenate(nodes), topology, tuple(stiff))
+    return RobotGeometry(library_of(*nodes).concatenate(nodes), topology, tuple(stiff))

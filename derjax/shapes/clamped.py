@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 from itertools import pairwise
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from ..rods.topology import Topology
 from .body import Nodes, RobotGeometry, distance_from_axis, on_shaft, rotated_about_x
+from .numbers import library_of
 
 
 def clamped(
@@ -28,10 +28,10 @@ def clamped(
     for k, filament in enumerate(filaments):
         branch = on_shaft(filament, edge, backwards=0)
         if tips:
-            branch = jnp.concatenate([branch, 2.0 * branch[-1:] - branch[-2:-1]])
+            branch = library_of(branch).concatenate([branch, 2.0 * branch[-1:] - branch[-2:-1]])
         nodes.append(
             rotated_about_x(
-                2.0 * np.pi * k / n_flagella, branch + radius * jnp.array([0.0, 1.0, 0.0])
+                2.0 * np.pi * k / n_flagella, branch + radius * np.array([0.0, 1.0, 0.0])
             )
         )
         first = len(edges)
@@ -52,4 +52,4 @@ def clamped(
         driven_edges=tuple(driven_edges),
         fixed_dofs=(*positions, *(3 * size + edge for edge in ends)),
     )
-    return RobotGeometry(jnp.concatenate(nodes), topology)
+    return RobotGeometry(library_of(*nodes).concatenate(nodes), topology)

@@ -5,24 +5,27 @@ The shaft points along x. The origin itself is not among the nodes: it belongs t
 
 import math
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+
+from .numbers import library_of
 
 
 def helix_contour(radius: Array, pitch: Array, axial_length: Array) -> Array:
     """Arc length (m) of a helix."""
-    return axial_length / pitch * jnp.hypot(2.0 * jnp.pi * radius, pitch)
+    xp = library_of(radius, pitch, axial_length)
+    return axial_length / pitch * xp.hypot(2.0 * xp.pi * radius, pitch)
 
 
 def helix(
     radius: Array, pitch: Array, axial_length: Array, n_edges: int, handedness: str
 ) -> Float[Array, "n 3"]:
     """`n_edges + 1` nodes (m), equally spaced on a helix about the x axis from (0, radius, 0)."""
+    xp = library_of(radius, pitch, axial_length)
     sign = {"left": -1.0, "right": 1.0}[handedness]
-    phase = 2.0 * jnp.pi / pitch * axial_length * np.linspace(0.0, 1.0, n_edges + 1)
+    phase = 2.0 * xp.pi / pitch * axial_length * np.linspace(0.0, 1.0, n_edges + 1)
     x = axial_length * np.linspace(0.0, 1.0, n_edges + 1)
-    return jnp.stack([x, radius * jnp.cos(phase), sign * radius * jnp.sin(phase)], axis=1)
+    return xp.stack([x, radius * xp.cos(phase), sign * radius * xp.sin(phase)], axis=1)
 
 
 def arc(length: Array, bend: Array, n_edges: int) -> Float[Array, "n 3"]:
@@ -30,9 +33,10 @@ def arc(length: Array, bend: Array, n_edges: int) -> Float[Array, "n 3"]:
 
     A polygon of equal edges; `bend = 0` is straight.
     """
+    xp = library_of(length, bend)
     angle = bend * (np.arange(n_edges) + 0.5) / n_edges
-    edges = jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros(n_edges)], axis=1)
-    return jnp.cumsum(length / n_edges * edges, axis=0)
+    edges = xp.stack([xp.cos(angle), xp.sin(angle), xp.zeros(n_edges)], axis=1)
+    return xp.cumsum(length / n_edges * edges, axis=0)
 
 
 def edge_count(radius: float, pitch: float, axial_length: float, edge_length: float) -> int:

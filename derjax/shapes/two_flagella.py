@@ -1,11 +1,11 @@
 """The paper's robot: a head with two flagella, as one rod."""
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from ..rods.topology import Head, chain
 from .body import Nodes, RobotGeometry, on_shaft, rotated_about_x
+from .numbers import library_of
 
 
 def two_flagella(filaments: tuple[Nodes, Nodes], edge: Array, separation: Array) -> RobotGeometry:
@@ -16,11 +16,12 @@ def two_flagella(filaments: tuple[Nodes, Nodes], edge: Array, separation: Array)
     flagellum is the first one's image under half a turn about x, if their filaments agree.
     """
     first, second = (on_shaft(filament, edge, backwards=1) for filament in filaments)
-    offset = jnp.array([0.0, 0.5, 0.0]) * separation
+    offset = np.array([0.0, 0.5, 0.0]) * separation
     first = rotated_about_x(np.pi, first + offset)
     second = second + offset
-    middle = jnp.stack([-edge, 0.0 * edge, 0.0 * edge])[None]
-    nodes = jnp.concatenate([first[::-1], middle, second])
+    xp = library_of(first, second, edge)
+    middle = xp.stack([-edge, 0.0 * edge, 0.0 * edge])[None]
+    nodes = xp.concatenate([first[::-1], middle, second])
     head = len(first)  # the middle one of its three nodes
     topology = chain(
         len(nodes),

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import tomli_w
 
 from derjax import SceneFile
@@ -196,6 +195,8 @@ def write(design: Design, output: Output, finer: float = math.nan) -> list[Path]
             content["motor"].pop(key, None)
         rates = np.array(scene.motor_table.rpm).reshape(len(scene.motor_table.time), -1)
         names = ["rpm"] if rates.shape[1] == 1 else [f"rpm_{k + 1}" for k in range(rates.shape[1])]
+        import pandas as pd  # slow to import
+
         frame = pd.DataFrame(
             {"time": scene.motor_table.time} | dict(zip(names, rates.T, strict=True))
         )

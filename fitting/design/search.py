@@ -7,18 +7,18 @@ there is shortened.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
-import optax
-from scipy.optimize import NonlinearConstraint, minimize
-from scipy.stats import qmc
 
 from derjax import InputError, SolverError
 
 from .problem import Designs, Point, check_effects
 from .variables import Vector
+
+if TYPE_CHECKING:  # slow to import
+    from scipy.optimize import NonlinearConstraint
 
 Method = Literal["slsqp", "trust-constr", "adam"]
 
@@ -103,6 +103,8 @@ def starts_of(designs: Designs, search: Search) -> list[Vector]:
     first = variables.vector(variables.start)
     if search.starts == 1:
         return [first]
+    from scipy.stats import qmc  # slow to import
+
     power = int(np.ceil(np.log2(search.starts)))
     spread = qmc.Sobol(variables.size, rng=np.random.default_rng(search.seed)).random_base2(power)
     return [first, *spread[: search.starts - 1]]
@@ -151,6 +153,8 @@ def attempted(designs: Designs, search: Search, start: Point) -> Attempt:
 
 
 def _scipy(scaled: _Scaled, search: Search, x: Vector) -> tuple[str, str]:
+    from scipy.optimize import minimize
+
     kept = [_not_negative(scaled.margins, scaled.margin_slopes)] if scaled.designs.sides else []
     options: dict[str, Any] = {"maxiter": search.most}
     if search.method == "slsqp":
@@ -172,7 +176,9 @@ def _scipy(scaled: _Scaled, search: Search, x: Vector) -> tuple[str, str]:
     return ("max_iterations" if over else "stalled"), str(found.message)
 
 
-def _not_negative(left: Callable[[Vector], np.ndarray], slopes: Any) -> NonlinearConstraint:
+def _not_negative(left: Callable[[Vector], np.ndarray], slopes: Any) -> "NonlinearConstraint":
+    from scipy.optimize import NonlinearConstraint
+
     return NonlinearConstraint(left, 0.0, np.inf, jac=slopes)
 
 
@@ -182,6 +188,8 @@ ADAM_RATE = 0.05
 
 def _adam(scaled: _Scaled, search: Search, x: Vector) -> tuple[str, str]:
     """Adam with a cosine schedule, kept within the bounds; after a failure from the best again."""
+    import optax  # slow to import
+
     schedule = optax.cosine_decay_schedule(-ADAM_RATE, search.most, alpha=0.02)
     adam = optax.chain(optax.scale_by_adam(), optax.scale_by_schedule(schedule))
     now, memory = jnp.asarray(x), adam.init(jnp.asarray(x))
@@ -200,6 +208,8 @@ def _adam(scaled: _Scaled, search: Search, x: Vector) -> tuple[str, str]:
 
 def nearest_to_limits(designs: Designs, most: int) -> Point:
     """The design whose worst margin is the best, looked for from the best that is known."""
+    from scipy.optimize import minimize
+
     scaled = _Scaled(designs, 1.0)
 
     def worst(point: Point) -> float:

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import norm
 
 from derjax import InputError
 
@@ -60,7 +59,9 @@ class Uncertain:
         if spread == 0.0:
             return float(mean), along
         slope = weights @ (apart[:, None] * (gradients - along)) / spread
-        factor = norm.ppf(self.quantile)
+        from scipy.special import ndtri  # slow to import
+
+        factor = ndtri(self.quantile)
         return float(mean + factor * spread), along + factor * slope
 
 

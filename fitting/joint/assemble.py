@@ -133,6 +133,11 @@ class _Maker:
     def _add_steady(
         self, run: Run, scene: SceneFile, names: tuple[str, ...], places: tuple[int, ...]
     ) -> None:
+        if run.sight is not None:
+            raise InputError(
+                f'{run.name}: start = "steady": a silhouette changes as the robot rolls; such tracks '
+                "are simulated from rest"
+            )
         rpm = scene.parameters["rpm"] if run.motor_rpm is None else run.motor_rpm
         prior = run.nuisances.motor_rpm
         if prior is not None and np.ndim(rpm):
@@ -215,7 +220,7 @@ class _Maker:
         if coordinates and (run.drift or "drift" in given):
             chosen.append((maps.drift(coordinates), given.get("drift")))
         tracked = ANGLE in run.channels
-        if tracked and (steady or "angle_origin" in given):
+        if tracked and (steady or run.free_angle or "angle_origin" in given):
             chosen.append((maps.ANGLE_ORIGIN, given.get("angle_origin")))
         made = {one.name for one, _ in chosen}
         for name in set(given) & {"orientation", "origin", "drift", "angle_origin"} - made:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.stats import qmc
 
 from derjax import SolverError
 
@@ -81,6 +80,8 @@ def polynomials(solved: Solved) -> dict[int, Polynomial]:
             free = best.free.copy()
             free[moving[k]] += side * ranges[moving[k]]
             points.append(free)
+    from scipy.stats import qmc  # slow to import
+
     checks = qmc.Sobol(count, rng=1).random(4) if count else np.zeros((0, 0))
     for corner in checks:
         free = best.free.copy()

@@ -6,11 +6,9 @@ import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
 
 from derjax import InputError
 from derjax.commands.options import add_quiet
@@ -21,6 +19,9 @@ from ..joint.fit import calibrate_jointly
 from ..report import table
 from ..tracks import Dataset, load_dataset
 from .information import CHANNELS, Plan, plan
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 HELP = "Say which further runs would narrow the parameters of a fit most."
 TABLE, FIGURE = "plan.csv", "plan.png"
@@ -170,12 +171,17 @@ def _write(found: Plan, output: Output, figures: bool) -> None:
     with output.replacing(TABLE) as temporary:
         temporary.write_text(text.getvalue(), encoding="utf-8")
     if figures:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg  # slow to import
+
         with output.replacing(FIGURE) as temporary:
             FigureCanvasAgg(figure(found)).print_figure(str(temporary), format="png", dpi=150)
 
 
-def figure(found: Plan) -> Figure:
+def figure(found: Plan) -> "Figure":
     """Errors after one more run over its rate, by channels (colour) and duration (dashes)."""
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import NullFormatter
+
     names = list(found.now)
     canvas = Figure(figsize=(4.6 * len(names), 3.8), layout="constrained")
     axes = canvas.subplots(1, len(names), squeeze=False)[0]

@@ -7,6 +7,8 @@ import pytest
 
 from derjax import InputError, SolverError
 from fitting.calibrate import calibrate
+from fitting.causes import likely_causes
+from fitting.levenberg import minimise
 from fitting.model import Model
 from fitting.simulate import Simulator
 from fitting.tracks import Dataset
@@ -235,3 +237,21 @@ def test_the_best_of_several_optima_is_found_whatever_the_start(dataset) -> None
         for name, estimate in fit.estimates.items():
             assert abs(estimate.value - TRUTH[name]) < 4 * estimate.std
             assert estimate.std < 0.2 * estimate.value
+
+
+def test_another_zero_of_the_angle_is_a_likely_cause(dataset, simulator) -> None:
+    """As of a film that begins after the motor, or of a body that was mounted askew."""
+    turned = noisy(dataset, 5)
+    runs = tuple(replace(run, values=run.values + np.array([0, 0, 0, 0.6])) for run in turned.runs)
+    model = Model(replace(turned, runs=runs), simulator.parameters)
+    best = minimise(model.preview, np.zeros(2))
+    assert best is not None
+    found = likely_causes(model, np.zeros(2), best)
+    assert "with another zero of the head angle the fit would be much better" in found[0].sentence
+    assert "time_offset" in found[0].sentence
+    freed = tuple(replace(run, free_angle=True) for run in runs)
+    again = minimise(lambda free: model.preview(free, freed), np.zeros(2))
+    assert again is not None
+    assert model.values(again.free) == pytest.approx(TRUTH, rel=0.05)
+    assert model.values(best.free)["C_r"] != pytest.approx(TRUTH["C_r"], rel=0.05)
+    assert again.trial.residuals.origins == 2  # one for each run

@@ -73,8 +73,10 @@ def test_a_name_with_a_minus_is_a_name_first(read):
 
 
 def test_frames_without_fps_are_told_of(read):
-    with pytest.warns(InputWarning, match="'Slice' seems to hold numbers of frames.* fps"):
-        run = read(PIXELS, IMAGE.replace("fps = 2\n", ""))
+    """They are refused, unless a unit of time is named."""
+    with pytest.raises(InputError, match=r"'Slice' seems to hold numbers of frames.* fps"):
+        read(PIXELS, IMAGE.replace("fps = 2\n", ""))
+    run = read(PIXELS, IMAGE.replace("fps = 2\n", 'time_unit = "s"\n'))
     np.testing.assert_allclose(run.time, np.arange(1, FRAMES + 1))
     times = PIXELS.replace("\n2,", "\n2,").replace(",3\n", ",2.5\n")
     with pytest.raises(InputError, match=r"does not hold numbers of frames but 2\.5; .* fps"):

@@ -1,11 +1,17 @@
 """Forward sensitivities against reverse mode and against finite differences."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fitting.simulate import _continue, simulate, steps_per_call
+from derjax import build
+from fitting.model import Model
+from fitting.observe import seen
+from fitting.simulate import Simulator, _continue, simulate, steps_per_call
+from fitting.tracks import Dataset, Run
 
 FREE = np.log([3.0, 0.5])
 RPM = jnp.array(100.0)
@@ -44,9 +50,9 @@ def test_one_rollout_and_reverse_mode_agree_with_joined_calls(simulator, simulat
 
 
 def test_runs_of_other_lengths_and_rates_share_the_program(simulator, simulated) -> None:
-    before = _continue._cache_size()
+    before = _continue.count
     short, long = simulator.runs(FREE, [jnp.array(70.0), RPM], [10, STEPS])
-    assert _continue._cache_size() == before
+    assert _continue.count == before
     assert len(short.time) == simulator.steps_per_call + 1
     assert np.array_equal(long.observed, simulated.observed)
     assert np.abs(short.observed[20] - long.observed[20]).max() > 1e-3
@@ -58,3 +64,30 @@ def test_little_is_simulated_in_vain(longest) -> None:
     calls = -(-longest // length)
     assert length <= 200
     assert calls * length - longest < calls
+
+
+@pytest.fixture(scope="module")
+def silhouettes(simulator) -> Simulator:
+    """The simulator for a camera that looks along z and follows the whole robot."""
+    return Simulator(simulator.scene, simulator.parameters, 40, sight=2)
+
+
+def test_silhouettes_are_simulated_with_their_sensitivities(silhouettes) -> None:
+    here = silhouettes.run(FREE, RPM, 40)
+    built = build(silhouettes.scene, silhouettes.parameters.values(jnp.asarray(FREE)))
+    first = seen(built, jax.tree.map(lambda x: x[None], built.start), 2)
+    assert here.observed[0] == pytest.approx(np.asarray(first)[0], abs=1e-15)
+    h = 1e-4
+    ends = [silhouettes.run(FREE + s * h, RPM, 40).observed for s in (1, -1)]
+    slope = (ends[0] - ends[1]) / (2 * h)
+    error = np.abs(here.sensitivity.sum(axis=-1) - slope) / np.abs(slope).max(axis=0)
+    assert error.max() < 1e-5
+
+
+def test_silhouettes_are_not_continued_by_screws(silhouettes) -> None:
+    """The robot rolls, and a camera that stays where it is sees another silhouette then."""
+    times = np.linspace(0.0, 6.0, 20)
+    run = Run("side", times, (0, 1), np.zeros((20, 2)), 60.0)
+    for sight, period in ((None, 1.0), (2, None)):
+        dataset = Dataset(silhouettes.scene, (replace(run, sight=sight),))
+        assert Model(dataset, silhouettes.parameters).periods == [period]

@@ -1,0 +1,1 @@
+"""`derjax tracks`: what is understood of tracks, as a table, a picture and a dataset file."""
