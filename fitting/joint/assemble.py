@@ -135,8 +135,8 @@ class _Maker:
     ) -> None:
         if run.sight is not None:
             raise InputError(
-                f'{run.name}: start = "steady": a silhouette changes as the robot rolls; such tracks '
-                "are simulated from rest"
+                f'{run.name}: start = "steady": a silhouette changes as the robot rolls; such '
+                "tracks are simulated from rest"
             )
         rpm = scene.parameters["rpm"] if run.motor_rpm is None else run.motor_rpm
         prior = run.nuisances.motor_rpm
