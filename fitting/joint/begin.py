@@ -20,7 +20,7 @@ from ..noise import PRIOR
 from ..observe import ANGLE
 from ..uncertainty import Residuals
 from .gait import RATES
-from .maps import swimming
+from .maps import turned_about
 from .parts import HEAD_RATE, SPEED, Point, RatesPart, TrackPart
 from .problem import Free, Problem
 
@@ -255,14 +255,15 @@ def _set_phases(problem: Problem, part: TrackPart, number: int, free: Free) -> N
     ]
     length = float(np.ptp(part.run.values[:, ~part.run.is_angle], axis=0).max(initial=0.0))
     best, lowest = (0.0, 0.0), np.inf
+    lines = np.stack([np.ones(len(time)), np.asarray(time)], axis=1)
+    project = np.linalg.pinv(lines)
+    scale = np.maximum(np.where(part.run.is_angle, 1.0, length), 1e-12)
     for phase in grids[0]:
-        for roll in grids[1]:
-            track, _, _ = swimming(jnp.asarray(known.gait), time, jnp.array([phase, roll]))
-            apart = part.run.values - np.asarray(track)[:, channels]
-            lines = np.stack([np.ones(len(time)), np.asarray(time)], axis=1)
-            left = apart - lines @ np.linalg.lstsq(lines, apart, rcond=None)[0]
-            scale = np.where(part.run.is_angle, 1.0, length)
-            size = float(np.sum((left / np.maximum(scale, 1e-12)) ** 2))
+        tracks = turned_about(jnp.asarray(known.gait), time, phase, jnp.asarray(grids[1]))
+        for roll, track in zip(grids[1], np.asarray(tracks), strict=True):
+            apart = part.run.values - track[:, channels]
+            left = apart - lines @ (project @ apart)
+            size = float(np.sum((left / scale) ** 2))
             if size < lowest:
                 best, lowest = (float(phase), float(roll)), size
     for k, value in zip(part.start, best, strict=True):

@@ -168,3 +168,11 @@ def swimming(
 
     by = jax.jacfwd(track, argnums=(0, 1))(packed, start)
     return track(packed, start), *by
+
+
+@jax.jit
+def turned_about(
+    packed: Float[Array, " g"], time: Float[Array, " f"], phase: Array, rolls: Float[Array, " r"]
+) -> Float[Array, "r f 4"]:
+    """Tracks of a gait at one phase (rad), turned about the way by several angles (rad)."""
+    return jax.vmap(lambda roll: swum(Gait.of(packed), time, phase, roll))(rolls)
