@@ -296,7 +296,14 @@ class _Maker:
                     )
                 )
         return Problem(
-            self.dataset, self.names, self.unknowns, self.parts, self.sources, rest, self.said
+            self.dataset,
+            self.names,
+            self.unknowns,
+            self.parts,
+            self.sources,
+            rest,
+            self.said,
+            self.store,
         )
 
 

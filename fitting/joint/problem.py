@@ -16,6 +16,7 @@ from ..model import Model, predict
 from ..noise import PRIOR, NoisyResiduals
 from ..tracks import Dataset, Run
 from ..transforms import select_parameters
+from .gaitstore import GaitStore
 from .parts import Point, RatesPart, Rows, TrackPart, joined
 from .sources import Known, Source
 from .unknowns import Unknowns
@@ -71,6 +72,7 @@ class Problem:
         said: what was decided, in words.
         failure: why the last evaluation gave nothing.
         evaluations: so far.
+        kept: gaits that have been found, for a fit that is interrupted and started again.
     """
 
     def __init__(
@@ -82,11 +84,13 @@ class Problem:
         sources: Sequence[Sourced],
         rest: Sequence[FromRest],
         said: Sequence[str],
+        store: Path | None = None,
     ) -> None:
         self.dataset, self.names, self.unknowns = dataset, tuple(names), unknowns
         self.parts, self.sources, self.rest = tuple(parts), tuple(sources), tuple(rest)
         self.said, self.failure, self.evaluations = tuple(said), "", 0
         self.on_evaluation: Callable[[], None] = lambda: None
+        self.kept = GaitStore(store)
         self._last: tuple[bytes, bool, Point] | None = None
 
     def point(self, free: Free, whole: bool = False) -> Point | None:
@@ -109,10 +113,15 @@ class Problem:
 
     def _gaits(self, values: np.ndarray) -> dict[int, Known]:
         def one(sourced: Sourced) -> Known:
+            chosen = values[list(sourced.varied)]
+            if (kept := self.kept.get(sourced.label, chosen)) is not None:
+                return kept
             try:
-                return sourced.source(values[list(sourced.varied)])
+                found = sourced.source(chosen)
             except SolverError as error:
                 raise SolverError(f"{sourced.label}: {error}") from None
+            self.kept.put(sourced.label, chosen, found)
+            return found
 
         with ThreadPoolExecutor(max(1, min(len(self.sources), os.cpu_count() or 1))) as pool:
             return dict(enumerate(pool.map(one, self.sources)))

@@ -68,8 +68,8 @@ class Source(Protocol):
         """What is solved for."""
         ...
 
-    def last(self) -> tuple[Scene, State]:
-        """The scene that was asked for last, and a state in which it swims."""
+    def last(self) -> tuple[Scene, State] | None:
+        """The scene that was asked for last, and a state in which it swims; None before."""
         ...
 
 
@@ -109,9 +109,8 @@ class SteadySource:
     def in_words(self) -> str:
         return "a steady state"
 
-    def last(self) -> tuple[Scene, State]:
-        assert self._found is not None
-        return self._found.scene, self._found.state
+    def last(self) -> tuple[Scene, State] | None:
+        return None if self._found is None else (self._found.scene, self._found.state)
 
     def __call__(self, values: Float[np.ndarray, " k"]) -> Known:
         numbers = dict(zip(self.names, map(jnp.asarray, values), strict=True))
@@ -150,9 +149,8 @@ class OrbitSource:
     def in_words(self) -> str:
         return "a periodic orbit"
 
-    def last(self) -> tuple[Scene, State]:
-        assert self._found is not None
-        return self._found.scene, self._found.state
+    def last(self) -> tuple[Scene, State] | None:
+        return None if self._found is None else (self._found.scene, self._found.state)
 
     def __call__(self, values: Float[np.ndarray, " k"]) -> Known:
         numbers = {name: float(value) for name, value in zip(self.names, values, strict=True)}

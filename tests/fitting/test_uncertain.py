@@ -162,3 +162,25 @@ def test_the_command_plans(tmp_path, capsys) -> None:
     few = parser.parse_args([*words, "--overwrite", "--rates", "45", "--durations", "3"])
     with pytest.raises(InputError, match="fewer than 10 frames"):
         run(few)
+
+
+def test_a_fit_that_was_stopped_goes_on_from_its_gaits(scene, tmp_path, monkeypatch) -> None:
+    """Gaits that were found before are not solved for again, and the outcome is the same."""
+    from fitting.joint.sources import SteadySource
+
+    data = Dataset(scene, (), rates=(rates(scene, 0.01),))
+    asked: list[float] = []
+    solve = SteadySource.__call__
+
+    def counted(self, values):
+        asked.append(float(values[0]))
+        return solve(self, values)
+
+    monkeypatch.setattr(SteadySource, "__call__", counted)
+    first, _ = calibrate_jointly(data, store=tmp_path)
+    count = len(asked)
+    assert count > 3
+    again, solved = calibrate_jointly(data, store=tmp_path)
+    assert len(asked) == count
+    assert again.values == pytest.approx(first.values, rel=1e-9)
+    assert solved.robot is None
