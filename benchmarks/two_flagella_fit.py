@@ -1,29 +1,37 @@
 """Fits of two flagella to side views, from periodic orbits: how long they take, and what they find.
 
 Tracks of x and y, a frame a second, with noise of 1 % of the radius of the head, of the default
-robot with two flagella in its periodic regime, for both models of the motor's hinge; each is fitted
-with both. A fit costs what its orbits cost: a track over an orbit is the orbit, again and again,
-moved by its screw motion.
+robot with two flagella: made of its periodic orbits, or simulated in time from rest, with what is
+before the transient has died out left away. A fit costs what its orbits cost: a track over an orbit
+is the orbit, again and again, moved by its screw motion.
 
-    python -m benchmarks.two_flagella_fit            # two rates, 60 s each
-    python -m benchmarks.two_flagella_fit --five     # five rates, 240 s each, as well
+    python -m benchmarks.two_flagella_fit              # two rates, 60 s each
+    python -m benchmarks.two_flagella_fit five         # five rates, 240 s each
+    python -m benchmarks.two_flagella_fit crossed      # data of one hinge, fit with another
+
+Each writes its rows into the table, and keeps those of the others.
 """
 
 import argparse
+import os
 import time
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
-from derjax import SceneFile, robots
-from fitting.joint.fit import calibrate_jointly
+from derjax import SceneFile, build, robots, rollout
+from derjax.rods.head import head_angle, head_position
+from fitting.joint.fit import Solved, calibrate_jointly
 from fitting.joint.gait import Gait, swum
+from fitting.joint.parts import TrackPart
 from fitting.joint.sources import source
+from fitting.observe import interpolation
 from fitting.tracks import Dataset, Run
 
 from .tables import write
@@ -34,6 +42,13 @@ START = {"C_t": 4.0, "C_r": 0.45}
 NOISE = 3e-4
 """m: 1 % of the radius of the head."""
 
+TRANSIENT = 12.0
+"""s, that are left away of a simulation."""
+
+TWO, FIVE = (40.0, 70.0), (30.0, 40.0, 50.0, 60.0, 70.0)
+HINGES = ("rigid", "published")
+KEY = ["data", "model", "tracks"]
+
 
 def robot(hinge: str) -> SceneFile:
     """The default robot with two flagella."""
@@ -41,66 +56,132 @@ def robot(hinge: str) -> SceneFile:
     return file.model_copy(update={"motor": file.motor.model_copy(update={"hinge": hinge})})
 
 
-def made(hinge: str, rates: Sequence[float], duration: float) -> list[Run]:
-    """Tracks of the robot in its periodic regime."""
+def over_an_orbit(hinge: str, rpm: float, frames: np.ndarray) -> np.ndarray:
+    """(f, 4) the track of the robot over its periodic orbit."""
+    gait = source(robot(hinge), rpm, tuple(TRUTH))(np.array(list(TRUTH.values()))).gait
+    return np.asarray(swum(Gait.of(jnp.asarray(gait)), jnp.asarray(frames), 1.0, 0.7))
+
+
+def in_time(hinge: str, rpm: float, frames: np.ndarray) -> np.ndarray:
+    """(f, 4) the track of a simulation from rest, after its transient, in the scene's steps."""
+    file = robot(hinge)
+    scene = build(file, {**file.parameters, **TRUTH, "rpm": rpm})
+    run = rollout(scene, end=TRANSIENT + float(frames[-1]) + 4 * file.step)
+    run.raise_if_failed()
+    topology = scene.rod.topology
+    place = np.asarray(head_position(topology, run.states))
+    angle = np.asarray(head_angle(topology, run.states))
+    every = np.concatenate([place, angle[:, None]], axis=1)
+    at_frames = interpolation(TRANSIENT + frames, float(run.time[1] - run.time[0]))
+    return np.asarray(at_frames(every))
+
+
+WAYS: dict[str, Callable[[str, float, np.ndarray], np.ndarray]] = {
+    "orbit": over_an_orbit,
+    "simulation": in_time,
+}
+
+
+def made(way: str, hinge: str, rates: Sequence[float], duration: float) -> list[Run]:
+    """Tracks of the robot, with noise."""
     runs = []
+    frames = np.arange(0.0, duration + 0.5)
     for k, rpm in enumerate(rates):
-        gait = source(robot(hinge), rpm, tuple(TRUTH))(np.array(list(TRUTH.values()))).gait
-        frames = np.arange(0.0, duration + 0.5)
-        track = np.asarray(swum(Gait.of(jnp.asarray(gait)), jnp.asarray(frames), 1.0, 0.7))
         noise = NOISE * np.random.default_rng(k).normal(size=(len(frames), 2))
-        runs.append(
-            Run(
-                f"rpm{rpm:g}",
-                frames,
-                (0, 1),
-                track[:, :2] + noise,
-                rpm,
-                steady=True,
-                free_origin=True,
-            )
-        )
+        values = WAYS[way](hinge, rpm, frames)[:, :2] + noise
+        run = Run(f"rpm{rpm:g}", frames, (0, 1), values, rpm, steady=True, free_origin=True)
+        runs.append(run)
     return runs
 
 
-def fitted(hinge: str, runs: Sequence[Run], label: str) -> dict[str, Any]:
-    """A fit, once more after everything is compiled, and how long that takes."""
-    data = Dataset(robot(hinge), tuple(runs))
+def fitted(
+    way: str, hinge: str, model: str, rates: Sequence[float], duration: float
+) -> tuple[dict[str, Any], Solved]:
+    """A fit, once everything is compiled, how long it takes, and what it finds."""
     begun = time.perf_counter()
-    fit, _ = calibrate_jointly(replace(data, runs=data.runs), tuple(TRUTH), START)
-    cells: dict[str, Any] = {"data and model": label, "seconds": time.perf_counter() - begun}
-    cells["status"] = fit.status
+    data = Dataset(robot(model), tuple(made(way, hinge, rates, duration)))
+    print(f"data: {time.perf_counter() - begun:.0f} s", flush=True)
+    calibrate_jointly(data, tuple(TRUTH), TRUTH, max_iterations=0)
+    print(f"compiled: {time.perf_counter() - begun:.0f} s", flush=True)
+    wall, processor = time.perf_counter(), time.process_time()
+    fit, solved = calibrate_jointly(data, tuple(TRUTH), START)
+    cells: dict[str, Any] = {
+        "data": f"{hinge}, {way}",
+        "model": model,
+        "tracks": f"{len(rates)} of {duration:g} s",
+        "processor_s": time.process_time() - processor,
+        "wall_s": time.perf_counter() - wall,
+        "load": os.getloadavg()[0],
+        "evaluations": solved.problem.evaluations,
+        "status": fit.status if fit.goodness.good else f"{fit.status}, bad fit",
+    }
     for name, truth in TRUTH.items():
         e = fit.estimates[name]
         cells |= {name: e.value, f"{name} error (%)": 100 * e.std / e.value}
         cells[f"{name} off (%)"] = 100 * (e.value / truth - 1)
-    print(cells, flush=True)
-    return cells
+    cells["noise_mm"] = 1e3 * fit.noise["position"]
+    print(cells, *fit.warnings, sep="\n", flush=True)
+    return cells, solved
+
+
+def kept(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
+    """The rows, and those that the table had before for other data."""
+    new = pd.DataFrame(rows)
+    if not OUTPUT.exists():
+        return new
+    old = pd.read_csv(OUTPUT)
+    both = pd.concat([old, new]).drop_duplicates(KEY, keep="last")
+    return both.sort_values(["tracks", "data", "model"], ignore_index=True)
+
+
+def draw(solved: Solved, path: Path) -> None:
+    """Track, fit, and what is left, of every run."""
+    point = solved.optimum.trial.model
+    parts = [p for p in enumerate(solved.problem.parts) if isinstance(p[1], TrackPart)]
+    figure, axes = plt.subplots(
+        3, len(parts), figsize=(4.5 * len(parts), 6.5), sharex=True, squeeze=False, dpi=130
+    )
+    for (number, part), column in zip(parts, axes.T, strict=True):
+        fine = np.linspace(part.run.time[0], part.run.time[-1], 2000)
+        curve = part.predicted(point, number, fine)[0]
+        left = part.table(part.rows(point, number).value)
+        for axis, channel, name in zip(column, (0, 1), "xy", strict=False):
+            axis.plot(fine, 1e3 * curve[:, channel], lw=0.6, color="tab:orange", label="fit")
+            seen = 1e3 * part.run.values[:, channel]
+            axis.plot(part.run.time, seen, ".", ms=3, color="tab:blue", label="track")
+            axis.set_ylabel(f"{name} (mm)")
+            column[2].plot(part.run.time, 1e3 * left[:, channel], ".", ms=3, label=name)
+        column[0].set_title(f"{part.run.motor_rpm:g} rpm")
+        column[2].set(xlabel="t (s)", ylabel="fit - track (mm)")
+    axes[0, 0].legend()
+    axes[2, 0].legend()
+    figure.tight_layout()
+    figure.savefig(path)
 
 
 def main() -> None:
-    """Write docs/figures/two_flagella_fit.csv and .md."""
+    """Write docs/figures/two_flagella_fit.csv, .md and .png."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--five", action="store_true", help="also five rates of 240 s")
+    parser.add_argument("what", nargs="?", choices=("two", "five", "crossed"), default="two")
+    parser.add_argument("--data", choices=tuple(WAYS), help="only data that are made so")
     args = parser.parse_args()
-    two = (40.0, 70.0)
-    tracks = {hinge: made(hinge, two, 60.0) for hinge in ("rigid", "published")}
-    for hinge in tracks:  # to compile
-        calibrate_jointly(Dataset(robot(hinge), tuple(tracks[hinge])), tuple(TRUTH), TRUTH)
-    rows = [
-        fitted(model, tracks[data], f"{data} and {model}, 2 rates of 60 s")
-        for data in tracks
-        for model in tracks
-    ]
-    if args.five:
-        rates = (30.0, 40.0, 50.0, 60.0, 70.0)
-        rows.append(
-            fitted("rigid", made("rigid", rates, 240.0), "rigid and rigid, 5 rates of 240 s")
-        )
-    formats = {"data and model": "s", "seconds": ".0f", "status": "s"}
+    jobs = {
+        "two": [(way, "rigid", "rigid", TWO, 60.0) for way in WAYS],
+        "five": [("orbit", "rigid", "rigid", FIVE, 240.0)],
+        "crossed": [("orbit", data, model, TWO, 60.0) for data in HINGES for model in HINGES],
+    }[args.what]
+    formats = {"processor_s": ".0f", "wall_s": ".0f", "load": ".1f", "evaluations": ".0f"}
     for name in TRUTH:
         formats |= {name: ".4f", f"{name} error (%)": ".2f", f"{name} off (%)": ".2f"}
-    write(pd.DataFrame(rows), OUTPUT, formats)
+    formats |= {"noise_mm": ".3f"}
+    for way, hinge, model, rates, duration in jobs:
+        if args.data not in (None, way):
+            continue
+        cells, solved = fitted(way, hinge, model, rates, duration)
+        write(kept([cells]), OUTPUT, formats)
+        if way == "simulation" and args.what == "two":
+            draw(solved, OUTPUT.with_suffix(".png"))
+        jax.clear_caches()
 
 
 if __name__ == "__main__":

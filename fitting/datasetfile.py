@@ -110,6 +110,12 @@ class RunFile(TrackKeys):
                 "nuisances.time_offset: has no effect on a track that starts steady: the phase in "
                 "its first frame is fitted"
             )
+        if self.start == "steady" and self.point == "silhouette":
+            raise ValueError(
+                'start = "steady": is only for tracks of heads: a silhouette changes as the robot '
+                'rolls, and its track is no part of a gait; with point = "silhouette" a track is '
+                "simulated from rest, and must have the transient"
+            )
         if self.start == "rest" and "phase" in given:
             raise ValueError(
                 'nuisances.phase: is only for tracks with start = "steady"; from rest the motors '

@@ -23,6 +23,7 @@ from derjax.steady.solve import steady_as
 from derjax.steady.turn import TurnDerivative, beginning, turn_with
 
 from .gait import gait_of_steady, gait_of_turn
+from .krylov import solved
 
 STEPS, MOST_STEPS = 50, 400
 """Of time in a turn of an orbit, twice as many as long as one of them fails."""
@@ -30,8 +31,8 @@ STEPS, MOST_STEPS = 50, 400
 TOLERANCE = 1e-6
 """Of what may change in a turn, over the length of the robot."""
 
-ACCURACY = 1e-5
-"""To how much derivatives of orbits are solved for; a fit needs no more."""
+ACCURACY = 1e-4
+"""To how much derivatives of orbits are solved for; a fit needs no more, nor do its errors."""
 
 
 @dataclass(frozen=True)
@@ -156,19 +157,27 @@ class OrbitSource:
         numbers = {name: float(value) for name, value in zip(self.names, values, strict=True)}
         scene = self.scene.replace(**numbers)
         found = self._found = self._orbit(scene, values)
-        derivative = TurnDerivative(found.scene, found.state, found.period, self.steps)
+        units = TurnDerivative(found.scene, found.state, found.period, self.steps)
         static: tuple[Any, ...] = (self.names, found.enlarged, self.steps)
         now = scene, found.state, jnp.asarray(found.period), jnp.asarray(values, float)
-        ways = jnp.zeros((len(self.names), derivative.size))
-        _, _, moved = _of_orbit(*static, *now, ways)
-        for k, change in enumerate(moved):
-            z = derivative.solve(derivative.of_one_size(change), ACCURACY)
-            ways = ways.at[k].set(derivative.whole(z))
-        gait, jacobian, _ = _of_orbit(*static, *now, ways)
-        if not np.isfinite(np.asarray(jacobian)).all():
+        count = len(self.names)
+        fixed = jnp.zeros((count, count))
+
+        def product(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            ways = jnp.stack([units.whole(row) for row in rows])
+            _, pushed, moved = _of_orbit(*static, *now, fixed, ways)
+            return np.stack([units.of_one_size(row) for row in moved]), np.asarray(pushed)
+
+        still = jnp.zeros((count, units.size))
+        gait, along, moved = _of_orbit(*static, *now, jnp.eye(count), still)
+        b = np.stack([units.of_one_size(row) for row in moved])
+        z, by_way = solved(product, b, ACCURACY)
+        jacobian = np.asarray(along) + by_way
+        if not np.isfinite(jacobian).all():
             raise SolverError("the derivative of an orbit is not finite")
-        self._ways = np.array(values, float), np.asarray(ways)
-        return Known(np.asarray(gait), np.asarray(jacobian).T)
+        ways = np.stack([np.asarray(units.whole(row)) for row in z])
+        self._ways = np.array(values, float), ways
+        return Known(np.asarray(gait), jacobian.T)
 
     def _orbit(self, scene: Scene, values: np.ndarray) -> Orbit:
         """The orbit, from where the last one points to, in more steps where few fail."""
@@ -197,6 +206,7 @@ def _of_orbit(
     state: State,
     period: Array,
     values: Array,
+    alongs: Float[Array, "k k"],
     ways: Float[Array, "k z"],
 ) -> tuple[Array, Array, Array]:
     """The gait of a turn, and how it and the end of the turn change with numbers.
@@ -207,7 +217,8 @@ def _of_orbit(
         steps: of time in a turn.
         scene, state, period: of the orbit.
         values: of the numbers.
-        ways: how the beginning of the turn moves with each of them.
+        alongs: directions in which the numbers change.
+        ways: how the beginning of the turn moves with each.
 
     Returns:
         (g,), (k, g) and (k, z).
@@ -224,7 +235,5 @@ def _of_orbit(
     def push(along: Array, way: Array) -> Any:
         return jax.jvp(turned, (values, still), (along, way))
 
-    (gait, _), (moved, change) = jax.vmap(push, out_axes=((None, None), (0, 0)))(
-        jnp.eye(len(values)), ways
-    )
+    (gait, _), (moved, change) = jax.vmap(push, out_axes=((None, None), (0, 0)))(alongs, ways)
     return gait, moved, change
