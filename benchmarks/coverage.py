@@ -247,7 +247,7 @@ def full(world: World, count: int) -> str:
 
 def main() -> None:
     """Write docs/figures/coverage.csv and .md."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--full", type=int, default=2, metavar="N", help="full fits (default: 2)")
     parser.add_argument("--seeds", type=int, default=100, help="of the first row (default: 100)")
     parser.add_argument("--others", type=int, default=30, help="of other rows (default: 30)")

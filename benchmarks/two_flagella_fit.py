@@ -12,14 +12,12 @@ is the orbit, again and again, moved by its screw motion.
 Each writes its rows into the table, and keeps those of the others.
 """
 
-import argparse
 import os
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
@@ -32,17 +30,18 @@ from fitting.joint.gait import Gait, swum
 from fitting.joint.parts import TrackPart
 from fitting.joint.sources import source
 from fitting.observe import interpolation
+from fitting.outcome import Progress
 from fitting.tracks import Dataset, Run
 
+from .command import command_line
 from .tables import write
 
-OUTPUT = Path(__file__).parents[1] / "docs" / "figures" / "two_flagella_fit.csv"
 TRUTH = {"C_t": 4.8, "C_r": 0.36}
 START = {"C_t": 4.0, "C_r": 0.45}
 NOISE = 3e-4
 """m: 1 % of the radius of the head."""
 
-TRANSIENT = 12.0
+TRANSIENT = 20.0
 """s, that are left away of a simulation."""
 
 TWO, FIVE = (40.0, 70.0), (30.0, 40.0, 50.0, 60.0, 70.0)
@@ -59,6 +58,7 @@ def robot(hinge: str) -> SceneFile:
 def over_an_orbit(hinge: str, rpm: float, frames: np.ndarray) -> np.ndarray:
     """(f, 4) the track of the robot over its periodic orbit."""
     gait = source(robot(hinge), rpm, tuple(TRUTH))(np.array(list(TRUTH.values()))).gait
+    print(f"{rpm:g} rpm, rates and path: {gait[:4]}", gait[4:].reshape(-1, 4)[:5], sep="\n")
     return np.asarray(swum(Gait.of(jnp.asarray(gait)), jnp.asarray(frames), 1.0, 0.7))
 
 
@@ -66,13 +66,14 @@ def in_time(hinge: str, rpm: float, frames: np.ndarray) -> np.ndarray:
     """(f, 4) the track of a simulation from rest, after its transient, in the scene's steps."""
     file = robot(hinge)
     scene = build(file, {**file.parameters, **TRUTH, "rpm": rpm})
-    run = rollout(scene, end=TRANSIENT + float(frames[-1]) + 4 * file.step)
+    step = 0.05
+    run = rollout(scene, TRANSIENT + frames[-1] + 1.0, frame=step, reverse_mode=False)
     run.raise_if_failed()
     topology = scene.rod.topology
     place = np.asarray(head_position(topology, run.states))
     angle = np.asarray(head_angle(topology, run.states))
     every = np.concatenate([place, angle[:, None]], axis=1)
-    at_frames = interpolation(TRANSIENT + frames, float(run.time[1] - run.time[0]))
+    at_frames = interpolation(TRANSIENT + frames, step)
     return np.asarray(at_frames(every))
 
 
@@ -94,6 +95,11 @@ def made(way: str, hinge: str, rates: Sequence[float], duration: float) -> list[
     return runs
 
 
+def told(progress: Progress) -> None:
+    """Where a fit is, as it takes minutes."""
+    print(f"{time.process_time():.0f} s of processor:", progress.stage, progress.values, flush=True)
+
+
 def fitted(
     way: str, hinge: str, model: str, rates: Sequence[float], duration: float
 ) -> tuple[dict[str, Any], Solved]:
@@ -101,10 +107,10 @@ def fitted(
     begun = time.perf_counter()
     data = Dataset(robot(model), tuple(made(way, hinge, rates, duration)))
     print(f"data: {time.perf_counter() - begun:.0f} s", flush=True)
-    calibrate_jointly(data, tuple(TRUTH), TRUTH, max_iterations=0)
+    calibrate_jointly(data, tuple(TRUTH), TRUTH, max_iterations=0, progress=told)
     print(f"compiled: {time.perf_counter() - begun:.0f} s", flush=True)
     wall, processor = time.perf_counter(), time.process_time()
-    fit, solved = calibrate_jointly(data, tuple(TRUTH), START)
+    fit, solved = calibrate_jointly(data, tuple(TRUTH), START, progress=told)
     cells: dict[str, Any] = {
         "data": f"{hinge}, {way}",
         "model": model,
@@ -124,12 +130,12 @@ def fitted(
     return cells, solved
 
 
-def kept(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
-    """The rows, and those that the table had before for other data."""
-    new = pd.DataFrame(rows)
-    if not OUTPUT.exists():
+def with_others(cells: dict[str, Any], path: Path) -> pd.DataFrame:
+    """A row, and those that the table has of other data."""
+    new = pd.DataFrame([cells])
+    if not path.exists():
         return new
-    old = pd.read_csv(OUTPUT)
+    old = pd.read_csv(path)
     both = pd.concat([old, new]).drop_duplicates(KEY, keep="last")
     return both.sort_values(["tracks", "data", "model"], ignore_index=True)
 
@@ -137,7 +143,7 @@ def kept(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
 def draw(solved: Solved, path: Path) -> None:
     """Track, fit, and what is left, of every run."""
     point = solved.optimum.trial.model
-    parts = [p for p in enumerate(solved.problem.parts) if isinstance(p[1], TrackPart)]
+    parts = [(k, p) for k, p in enumerate(solved.problem.parts) if isinstance(p, TrackPart)]
     figure, axes = plt.subplots(
         3, len(parts), figsize=(4.5 * len(parts), 6.5), sharex=True, squeeze=False, dpi=130
     )
@@ -159,9 +165,17 @@ def draw(solved: Solved, path: Path) -> None:
     figure.savefig(path)
 
 
+FORMATS = {"data": "s", "model": "s", "tracks": "s"}
+FORMATS |= {"processor_s": ".0f", "wall_s": ".0f", "load": ".1f", "evaluations": ".0f"}
+FORMATS |= {"status": "s"}
+for _name in TRUTH:
+    FORMATS |= {_name: ".4f", f"{_name} error (%)": ".2f", f"{_name} off (%)": ".2f"}
+FORMATS |= {"noise_mm": ".3f"}
+
+
 def main() -> None:
-    """Write docs/figures/two_flagella_fit.csv, .md and .png."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    """Write two_flagella_fit.csv, .md and .png."""
+    parser = command_line(__doc__)
     parser.add_argument("what", nargs="?", choices=("two", "five", "crossed"), default="two")
     parser.add_argument("--data", choices=tuple(WAYS), help="only data that are made so")
     args = parser.parse_args()
@@ -170,18 +184,14 @@ def main() -> None:
         "five": [("orbit", "rigid", "rigid", FIVE, 240.0)],
         "crossed": [("orbit", data, model, TWO, 60.0) for data in HINGES for model in HINGES],
     }[args.what]
-    formats = {"processor_s": ".0f", "wall_s": ".0f", "load": ".1f", "evaluations": ".0f"}
-    for name in TRUTH:
-        formats |= {name: ".4f", f"{name} error (%)": ".2f", f"{name} off (%)": ".2f"}
-    formats |= {"noise_mm": ".3f"}
+    path = args.output / "two_flagella_fit.csv"
     for way, hinge, model, rates, duration in jobs:
         if args.data not in (None, way):
             continue
         cells, solved = fitted(way, hinge, model, rates, duration)
-        write(kept([cells]), OUTPUT, formats)
-        if way == "simulation" and args.what == "two":
-            draw(solved, OUTPUT.with_suffix(".png"))
-        jax.clear_caches()
+        write(with_others(cells, path), path, FORMATS)
+        if args.what == "two":
+            draw(solved, path.with_suffix(".png"))
 
 
 if __name__ == "__main__":

@@ -2,8 +2,9 @@
 
 The loss of a long track has many minima in the rates of a robot: one for every turn by which the
 simulation comes out of step. So speed and head rate are read off each track by a straight line, and
-the parameters are first fitted to these, which has one minimum. Then phases are looked for on a
-grid, with the best origin for each.
+the rate at which the robot turns about its way by a periodogram where the head's angle was not
+tracked; the parameters are first fitted to these, which has one minimum. Then phases are looked for
+on a grid, with the best origin for each.
 """
 
 from collections.abc import Sequence
@@ -22,10 +23,17 @@ from ..uncertainty import Residuals
 from .gait import RATES
 from .maps import turned_about
 from .parts import HEAD_RATE, SPEED, Point, RatesPart, TrackPart
+from .periodogram import turning
 from .problem import Free, Problem
 
 CRUDE = 0.01
 """Noise of rates that are read off a track, as a part of them."""
+
+EXPECTED = 1.0
+"""How far a parameter is expected from its start, in free numbers (logarithms, of positive ones).
+
+Where speeds do not determine it, it stays there, for the tracks themselves to decide.
+"""
 
 PHASES = 24
 """Phases that are tried."""
@@ -39,11 +47,13 @@ class Slope:
         speed: m/s, along x of the scene; None where no coordinate was tracked.
         head_rate: rad/s; None where the angle was not tracked.
         direction: (3,) m/s, of the way, zero where a coordinate was not tracked.
+        turning: rad/s, of the robot about its way; None where it is not seen, or not needed.
     """
 
     speed: float | None
     head_rate: float | None
     direction: np.ndarray
+    turning: float | None = None
 
 
 def slope(part: TrackPart) -> Slope:
@@ -88,6 +98,7 @@ def beginning(problem: Problem) -> Free | None:
         if point is None:
             return None
         _compare_senses(problem, point, slopes)
+        slopes = {k: _with_turning(problem, point, k, line) for k, line in slopes.items()}
         found = _by_rates(problem, slopes, free)
         if found is None:
             return None
@@ -107,6 +118,14 @@ def beginning(problem: Problem) -> Free | None:
         if isinstance(part, TrackPart):
             _place(problem, part, number, free, slopes.get(number))
     return free
+
+
+def _with_turning(problem: Problem, point: Point, number: int, line: Slope) -> Slope:
+    """With the rate of turning, where no angle tells it."""
+    part = problem.parts[number]
+    if line.head_rate is not None or not isinstance(part, TrackPart) or part.source is None:
+        return line
+    return replace(line, turning=turning(part.run, part.known(point).gait))
 
 
 def _compare_senses(problem: Problem, point: Point, slopes: dict[int, Slope]) -> None:
@@ -150,6 +169,7 @@ def _compare_senses(problem: Problem, point: Point, slopes: dict[int, Slope]) ->
 
 def _by_rates(problem: Problem, slopes: dict[int, Slope], free: Free) -> Free | None:
     """What is fitted, from speeds and head rates alone."""
+    start = problem.unknowns.start()
 
     def evaluate(free: Free) -> Evaluation | None:
         point = problem.point(free)
@@ -168,6 +188,7 @@ def _by_rates(problem: Problem, slopes: dict[int, Slope], free: Free) -> Free | 
                 known = point.gaits[part.source]
                 for which, seen, of in (
                     (0, line.speed, SPEED),
+                    (1, line.turning, HEAD_RATE),
                     (RATES - 2, line.head_rate, HEAD_RATE),
                 ):
                     if seen is None or seen == 0:
@@ -183,6 +204,11 @@ def _by_rates(problem: Problem, slopes: dict[int, Slope], free: Free) -> Free | 
         jacobian += list(priors.jacobian)
         kind += [PRIOR] * len(priors.value)
         sigma += priors.sigma.tolist()
+        count = len(free)
+        value += (free - start).tolist()
+        jacobian += list(np.eye(count))
+        kind += [PRIOR] * count
+        sigma += [EXPECTED] * count
         n = len(value)
         residuals = Residuals(
             np.array(value), np.array(jacobian), np.array(kind), np.array(sigma), np.zeros(n)
