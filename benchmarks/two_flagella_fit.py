@@ -1,9 +1,9 @@
 """Fits of two flagella to side views, from periodic orbits: how long they take, and what they find.
 
-Tracks of x and y, a frame a second, with noise of 1 % of the radius of the head, of the default
-robot with two flagella: made of its periodic orbits, or simulated in time from rest, with what is
-before the transient has died out left away. A fit costs what its orbits cost: a track over an orbit
-is the orbit, again and again, moved by its screw motion.
+Tracks of x and y, or of the head's angle as well, a frame a second, with noise of 1 % of the radius
+of the head, of the default robot with two flagella: made of its periodic orbits, or simulated in
+time from rest, with what is before the transient has died out left away. A fit costs what its
+orbits cost: a track over an orbit is the orbit, again and again, moved by its screw motion.
 
     python -m benchmarks.two_flagella_fit              # two rates, 60 s each
     python -m benchmarks.two_flagella_fit five         # five rates, 240 s each
@@ -15,6 +15,7 @@ Each writes its rows into the table, and keeps those of the others.
 import os
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -41,12 +42,16 @@ START = {"C_t": 4.0, "C_r": 0.45}
 NOISE = 3e-4
 """m: 1 % of the radius of the head."""
 
+NOISE_ANGLE = 0.02
+"""rad."""
+
 TRANSIENT = 20.0
 """s, that are left away of a simulation."""
 
 TWO, FIVE = (40.0, 70.0), (30.0, 40.0, 50.0, 60.0, 70.0)
 HINGES = ("rigid", "published")
-KEY = ["data", "model", "tracks"]
+SEEN = {"x, y": (0, 1), "x, y, angle": (0, 1, 3)}
+KEY = ["data", "model", "tracks", "seen"]
 
 
 def robot(hinge: str) -> SceneFile:
@@ -84,13 +89,14 @@ WAYS: dict[str, Callable[[str, float, np.ndarray], np.ndarray]] = {
 
 
 def made(way: str, hinge: str, rates: Sequence[float], duration: float) -> list[Run]:
-    """Tracks of the robot, with noise."""
+    """Tracks of the robot, with noise: all of it."""
     runs = []
-    frames = np.arange(0.0, duration + 0.5)
+    frames, every = np.arange(0.0, duration + 0.5), tuple(range(4))
     for k, rpm in enumerate(rates):
-        noise = NOISE * np.random.default_rng(k).normal(size=(len(frames), 2))
-        values = WAYS[way](hinge, rpm, frames)[:, :2] + noise
-        run = Run(f"rpm{rpm:g}", frames, (0, 1), values, rpm, steady=True, free_origin=True)
+        size = np.array([NOISE, NOISE, NOISE, NOISE_ANGLE])
+        noise = size * np.random.default_rng(k).normal(size=(len(frames), 4))
+        values = WAYS[way](hinge, rpm, frames) + noise
+        run = Run(f"rpm{rpm:g}", frames, every, values, rpm, steady=True, free_origin=True)
         runs.append(run)
     return runs
 
@@ -101,12 +107,13 @@ def told(progress: Progress) -> None:
 
 
 def fitted(
-    way: str, hinge: str, model: str, rates: Sequence[float], duration: float
+    way: str, hinge: str, model: str, runs: Sequence[Run], seen: str
 ) -> tuple[dict[str, Any], Solved]:
     """A fit, once everything is compiled, how long it takes, and what it finds."""
-    begun = time.perf_counter()
-    data = Dataset(robot(model), tuple(made(way, hinge, rates, duration)))
-    print(f"data: {time.perf_counter() - begun:.0f} s", flush=True)
+    begun, chosen = time.perf_counter(), SEEN[seen]
+    duration = runs[0].time[-1]
+    own = [replace(run, channels=chosen, values=run.values[:, chosen]) for run in runs]
+    data = Dataset(robot(model), tuple(own))
     calibrate_jointly(data, tuple(TRUTH), TRUTH, max_iterations=0, progress=told)
     print(f"compiled: {time.perf_counter() - begun:.0f} s", flush=True)
     wall, processor = time.perf_counter(), time.process_time()
@@ -114,7 +121,8 @@ def fitted(
     cells: dict[str, Any] = {
         "data": f"{hinge}, {way}",
         "model": model,
-        "tracks": f"{len(rates)} of {duration:g} s",
+        "tracks": f"{len(runs)} of {duration:g} s",
+        "seen": seen,
         "processor_s": time.process_time() - processor,
         "wall_s": time.perf_counter() - wall,
         "load": os.getloadavg()[0],
@@ -126,7 +134,7 @@ def fitted(
         cells |= {name: e.value, f"{name} error (%)": 100 * e.std / e.value}
         cells[f"{name} off (%)"] = 100 * (e.value / truth - 1)
     cells["noise_mm"] = 1e3 * fit.noise["position"]
-    print(cells, *fit.warnings, sep="\n", flush=True)
+    print(cells, *fit.said, *fit.warnings, sep="\n", flush=True)
     return cells, solved
 
 
@@ -137,7 +145,7 @@ def with_others(cells: dict[str, Any], path: Path) -> pd.DataFrame:
         return new
     old = pd.read_csv(path)
     both = pd.concat([old, new]).drop_duplicates(KEY, keep="last")
-    return both.sort_values(["tracks", "data", "model"], ignore_index=True)
+    return both.sort_values(["tracks", "seen", "data", "model"], ignore_index=True)
 
 
 def draw(solved: Solved, path: Path) -> None:
@@ -151,7 +159,7 @@ def draw(solved: Solved, path: Path) -> None:
         fine = np.linspace(part.run.time[0], part.run.time[-1], 2000)
         curve = part.predicted(point, number, fine)[0]
         left = part.table(part.rows(point, number).value)
-        for axis, channel, name in zip(column, (0, 1), "xy", strict=False):
+        for axis, channel, name in zip(column[:2], (0, 1), "xy", strict=True):
             axis.plot(fine, 1e3 * curve[:, channel], lw=0.6, color="tab:orange", label="fit")
             seen = 1e3 * part.run.values[:, channel]
             axis.plot(part.run.time, seen, ".", ms=3, color="tab:blue", label="track")
@@ -165,7 +173,7 @@ def draw(solved: Solved, path: Path) -> None:
     figure.savefig(path)
 
 
-FORMATS = {"data": "s", "model": "s", "tracks": "s"}
+FORMATS = {"data": "s", "model": "s", "tracks": "s", "seen": "s"}
 FORMATS |= {"processor_s": ".0f", "wall_s": ".0f", "load": ".1f", "evaluations": ".0f"}
 FORMATS |= {"status": "s"}
 for _name in TRUTH:
@@ -180,18 +188,23 @@ def main() -> None:
     parser.add_argument("--data", choices=tuple(WAYS), help="only data that are made so")
     args = parser.parse_args()
     jobs = {
-        "two": [(way, "rigid", "rigid", TWO, 60.0) for way in WAYS],
-        "five": [("orbit", "rigid", "rigid", FIVE, 240.0)],
-        "crossed": [("orbit", data, model, TWO, 60.0) for data in HINGES for model in HINGES],
+        "two": [(way, "rigid", ("rigid",), TWO, 60.0) for way in WAYS],
+        "five": [("orbit", "rigid", ("rigid",), FIVE, 240.0)],
+        "crossed": [("orbit", data, HINGES, TWO, 60.0) for data in HINGES],
     }[args.what]
     path = args.output / "two_flagella_fit.csv"
-    for way, hinge, model, rates, duration in jobs:
+    for way, hinge, models, rates, duration in jobs:
         if args.data not in (None, way):
             continue
-        cells, solved = fitted(way, hinge, model, rates, duration)
-        write(with_others(cells, path), path, FORMATS)
-        if args.what == "two":
-            draw(solved, path.with_suffix(".png"))
+        begun = time.perf_counter()
+        runs = made(way, hinge, rates, duration)
+        print(f"data: {time.perf_counter() - begun:.0f} s", flush=True)
+        for model in models:
+            for seen in SEEN:
+                cells, solved = fitted(way, hinge, model, runs, seen)
+                write(with_others(cells, path), path, FORMATS)
+                if args.what == "two":
+                    draw(solved, path.with_suffix(".png"))
 
 
 if __name__ == "__main__":

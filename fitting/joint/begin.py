@@ -23,7 +23,7 @@ from ..uncertainty import Residuals
 from .gait import RATES
 from .maps import turned_about
 from .parts import HEAD_RATE, SPEED, Point, RatesPart, TrackPart
-from .periodogram import turning
+from .periodogram import hidden_motions, turning
 from .problem import Free, Problem
 
 CRUDE = 0.01
@@ -98,6 +98,7 @@ def beginning(problem: Problem) -> Free | None:
         if point is None:
             return None
         _compare_senses(problem, point, slopes)
+        _average_what_is_hidden(problem, point)
         slopes = {k: _with_turning(problem, point, k, line) for k, line in slopes.items()}
         found = _by_rates(problem, slopes, free)
         if found is None:
@@ -118,6 +119,37 @@ def beginning(problem: Problem) -> Free | None:
         if isinstance(part, TrackPart):
             _place(problem, part, number, free, slopes.get(number))
     return free
+
+
+def _average_what_is_hidden(problem: Problem, point: Point) -> None:
+    """Takes phases out of the search whose motions are far below the noise.
+
+    The head of a robot with flagella all alike stays on its way, and no phase fits better than
+    another. A search would follow the noise from one to the next.
+    """
+    parts = list(problem.parts)
+    for number, part in enumerate(parts):
+        if not isinstance(part, TrackPart) or part.source is None:
+            continue
+        hidden = hidden_motions(part.run, point.gaits[part.source].gait)
+        new = tuple(
+            place is not None and one for place, one in zip(part.start, hidden, strict=True)
+        )
+        if not any(new):
+            continue
+        averaged = (part.averaged[0] or new[0], part.averaged[1] or new[1])
+        phase, roll = (None if one else place for place, one in zip(part.start, new, strict=True))
+        parts[number] = replace(part, start=(phase, roll), averaged=averaged)
+        which = [
+            what
+            for what, one in zip(("in a turn of the motors", "round its way"), new, strict=True)
+            if one
+        ]
+        problem.said += (
+            f"{part.name}: how the head moves {' and '.join(which)} is too little to be seen "
+            "beside the noise, and is averaged over: it has no phase",
+        )
+    problem.parts = tuple(parts)
 
 
 def _with_turning(problem: Problem, point: Point, number: int, line: Slope) -> Slope:

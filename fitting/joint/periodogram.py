@@ -1,4 +1,4 @@
-"""How fast a robot turns about its way, from where its head is seen across it."""
+"""What the head's motion across the way tells: how fast the robot turns, and whether phases."""
 
 import numpy as np
 from jaxtyping import Float
@@ -15,6 +15,9 @@ RANGE = 0.35, 2.5
 
 FINENESS = 0.2
 """rad, by which phases at the end of the track differ between rates that are tried."""
+
+VISIBLE = 2.0
+"""Standard errors of the size of a wave, from which on its phase is looked for."""
 
 CLEAR = 0.2
 """Part of the square of what is seen across the way that the best rate must explain."""
@@ -49,6 +52,34 @@ def turning(run: Run, packed: Float[np.ndarray, " g"]) -> float | None:
     if without - left[best] < CLEAR * without or best in (0, len(factors) - 1):
         return None
     return expected * float(factors[best] + step * _offset(*left[best - 1 : best + 2]))
+
+
+def hidden_motions(run: Run, packed: Float[np.ndarray, " g"]) -> tuple[bool, bool]:
+    """Whether motions of the head are too small for their phases to be told from a track.
+
+    Args:
+        run: the track.
+        packed: the expected gait.
+
+    Returns:
+        Of those in a turn of the motors, and of those round the way.
+    """
+    path = packed[RATES:].reshape(-1, 4)
+    # Seen from a side, what goes round the way is in both coordinates across it.
+    radius, waves = np.hypot(path[0, 1], path[0, 2]), np.linalg.norm(path[1:], axis=0)
+    waves[1:3] = np.linalg.norm(waves[1:3])
+    clear = VISIBLE * noise(run) / np.sqrt(len(run.time) / 2)
+    across = [channel in (1, 2) for channel in run.channels]
+    turns = bool(np.any(waves[list(run.channels)] > clear))
+    return not turns, not np.any(
+        np.append(radius, waves[1]) > np.min(clear[across], initial=np.inf)
+    )
+
+
+def noise(run: Run) -> Float[np.ndarray, " c"]:
+    """About that of each channel (m and rad), from how far frames are off those beside them."""
+    second = run.values[2:] - 2 * run.values[1:-1] + run.values[:-2]
+    return np.median(np.abs(second), axis=0) / (0.6745 * np.sqrt(6.0))
 
 
 def _strongest(path: Float[np.ndarray, "k 4"]) -> np.ndarray:
