@@ -16,6 +16,7 @@ from .causes import Cause, likely_causes
 from .conclusion import Conclusion, judge
 from .explore import NEARLY, Exploration, distinct, explore, without
 from .goodness import Goodness
+from .joint.fit import calibrate_jointly
 from .levenberg import Evaluation, Iteration, Optimum, minimise
 from .model import Model
 from .outcome import Fit, Progress
@@ -49,7 +50,7 @@ def calibrate(
     tolerance: float = 1e-4,
     store: Path | None = None,
 ) -> Fit:
-    """Fit parameters of the scene to the tracks by least squares.
+    """Fit parameters of the scene to the tracks, and to speeds, by least squares.
 
     A cheap search on the whole of the tracks, also beyond the basin of the start (`explore`), and
     then Levenberg-Marquardt with exact sensitivities from the best optima that it found. Parameters
@@ -75,6 +76,16 @@ def calibrate(
         SolverError: the simulation fails with the parameters of the start.
         KeyboardInterrupt: before there was any result.
     """
+    if not dataset.is_plain:
+        return calibrate_jointly(
+            dataset,
+            parameters,
+            initial,
+            progress=progress,
+            max_iterations=max_iterations,
+            tolerance=tolerance,
+            store=store,
+        )[0]
     begun = time.perf_counter()
     chosen, start = beginning(dataset, parameters, initial or {})
     free = chosen.free(start)

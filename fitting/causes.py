@@ -99,8 +99,9 @@ def _of_tracks(runs: Sequence[Run]) -> list[_Hypothesis]:
         hypotheses.append(
             _Hypothesis(
                 "another zero of the head angle",
-                "head_angle is counted from where the head is when the motor starts; if the film "
-                "begins later, say time_offset, and estimate the zero with the rest",
+                "head_angle is counted from where the head is when the motor starts; say "
+                "nuisances = { angle_origin = {} } in [[runs]] to estimate its zero with the rest, "
+                "and time_offset if the film begins later",
                 tuple(replace(run, free_angle=True) for run in runs),
             )
         )

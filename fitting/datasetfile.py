@@ -16,6 +16,7 @@ from pydantic import Field, model_validator
 
 from derjax.io.fields import Finite, Positive, Switch, Table
 
+from .joint.file import KnownPrior, NoiseFile, Nuisances, RatesFile, Shared
 from .observe import CHANNELS
 from .trackkeys import TrackKeys
 
@@ -68,6 +69,11 @@ class RunFile(TrackKeys):
     estimated. `origin` says what positions are relative to: with "scene" they are those of
     the scene, with "track" only displacements are compared. With `drift = true` the robot may drift
     besides, as in a tank that flows: a steady velocity is fitted.
+
+    `start = "steady"` says that the track begins after the transient: then it is compared with the
+    steady state, or the periodic orbit, from a phase that is fitted, and times only count from the
+    first frame on. `scene` is another robot than that of the dataset, `own` names parameters of
+    which this run has a value of its own, and `nuisances` what else is not known of it.
     """
 
     track: str
@@ -88,12 +94,38 @@ class RunFile(TrackKeys):
     time_offset: Finite = 0.0
     origin: Literal["scene", "track"] = "scene"
     drift: Switch = False
+    start: Literal["rest", "steady"] = "rest"
+    scene: str | None = None
+    own: tuple[str, ...] = ()
+    nuisances: Nuisances = Nuisances()
 
     @model_validator(mode="after")
     def _together(self) -> Self:
         for name, needed in (("first_frame", "fps"), ("track_column", "track_id")):
             if getattr(self, name) is not None and getattr(self, needed) is None:
                 raise ValueError(f"{name}: is only for runs with {needed}")
+        given = self.nuisances.given
+        if self.start == "steady" and "time_offset" in given:
+            raise ValueError(
+                "nuisances.time_offset: has no effect on a track that starts steady: the phase in "
+                "its first frame is fitted"
+            )
+        if self.start == "steady" and self.point == "silhouette":
+            raise ValueError(
+                'start = "steady": is only for tracks of heads: a silhouette changes as the robot '
+                'rolls, and its track is no part of a gait; with point = "silhouette" a track is '
+                "simulated from rest, and must have the transient"
+            )
+        if self.start == "rest" and "phase" in given:
+            raise ValueError(
+                'nuisances.phase: is only for tracks with start = "steady"; from rest the motors '
+                "start at phase 0 of the scene: time_offset says when"
+            )
+        if self.start == "rest" and "motor_rpm" in given:
+            raise ValueError(
+                'nuisances.motor_rpm: is only for tracks with start = "steady": leave the '
+                "transient out with t_start"
+            )
         return self
 
     @property
@@ -117,4 +149,14 @@ class DatasetFile(Table):
     """A whole dataset file."""
 
     scene: str
-    runs: Annotated[tuple[RunFile, ...], Field(min_length=1)]
+    runs: Annotated[tuple[RunFile, ...], Field(default=())]
+    rates: tuple[RatesFile, ...] = ()
+    priors: dict[str, KnownPrior] = Field(default_factory=dict)
+    noise: NoiseFile = NoiseFile()
+    nuisances: Shared = Shared()
+
+    @model_validator(mode="after")
+    def _something(self) -> Self:
+        if not self.runs and not self.rates:
+            raise ValueError("there is nothing to fit: give [[runs]] or [[rates]]")
+        return self

@@ -67,6 +67,36 @@ class RunFit:
 
 
 @dataclass(frozen=True)
+class RateFit:
+    """Speeds over the rate of the motors, and what the fit makes of them.
+
+    Attributes:
+        name: of the table.
+        motor_rpm: (n,)
+        data: (n, 2) speed (m/s) and head rate (rad/s) that were seen; NaN where there is none.
+        std: (n, 2) their noise; NaN where it was estimated.
+        fitted: (n, 2) those of the robot with the fitted parameters.
+    """
+
+    name: str
+    motor_rpm: Float[np.ndarray, " n"]
+    data: Float[np.ndarray, "n 2"]
+    std: Float[np.ndarray, "n 2"]
+    fitted: Float[np.ndarray, "n 2"]
+
+    @property
+    def rms(self) -> dict[str, float]:
+        """Root mean square of the residuals (m/s, rad/s) of every kind there is."""
+        squares = (self.fitted - self.data) ** 2
+        names = ("speed", "head_rate")
+        return {
+            name: float(np.sqrt(np.nanmean(column)))
+            for name, column in zip(names, squares.T, strict=True)
+            if np.isfinite(column).any()
+        }
+
+
+@dataclass(frozen=True)
 class Fit:
     """The outcome of a calibration.
 
@@ -89,6 +119,11 @@ class Fit:
         runs: in the order of the dataset.
         dataset: what was fitted.
         wall_time: s.
+        rates: speeds, in the order of the dataset.
+        nuisances: what else was estimated, by name.
+        units: of parameters and nuisances, by name; those of the scene where there are none.
+        memory: correlations from frame to frame that were estimated, by kind of observation.
+        said: what was decided, in words.
     """
 
     status: str
@@ -108,6 +143,11 @@ class Fit:
     runs: tuple[RunFit, ...]
     dataset: Dataset
     wall_time: float
+    rates: tuple[RateFit, ...] = ()
+    nuisances: dict[str, Estimate] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
+    memory: dict[str, float] = field(default_factory=dict)
+    said: tuple[str, ...] = ()
 
     @property
     def values(self) -> dict[str, float]:
@@ -128,6 +168,7 @@ class Progress:
         rate: time steps per second; NaN if not known.
         latest: the iteration just completed; None in between.
         values: parameters after that iteration, by name.
+        said: what was decided before the first of them, in words.
     """
 
     stage: str
@@ -137,3 +178,4 @@ class Progress:
     rate: float = float("nan")
     latest: Iteration | None = None
     values: dict[str, float] = field(default_factory=dict)
+    said: tuple[str, ...] = ()

@@ -3,7 +3,7 @@
 import dataclasses
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,15 +13,17 @@ import numpy as np
 from derjax.io.output import Output
 from derjax.scenes.extensions import unit_of
 
+from .joint.posterior import Posterior
+from .joint.profile import Profile
 from .observe import ANGLE, CHANNELS
-from .outcome import Fit, RunFit
+from .outcome import Fit, RateFit, RunFit
 from .simulate import SimulatedTrack
 
 if TYPE_CHECKING:  # slow to import
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-REPORT, FIGURE = "fit.json", "fit.png"
+REPORT, FIGURE, NETCDF, PAGE = "fit.json", "fit.png", "fit.nc", "report.html"
 """Names of the files."""
 
 TRACK, BEFORE, AFTER = "#444444", "#b8bcc4", "#c8442b"
@@ -39,7 +41,7 @@ def as_dict(fit: Fit) -> dict[str, Any]:
                 "std": _finite(e.std),
                 "ci95": [_finite(end) for end in e.ci95],
                 "widened": e.widened,
-                "unit": unit_of(name),
+                "unit": as_unit(fit, name),
                 "start": fit.start[name],
             }
             for name, e in fit.estimates.items()
@@ -75,6 +77,23 @@ def as_dict(fit: Fit) -> dict[str, Any]:
             }
             for one in fit.runs
         ],
+        "rates": [
+            {
+                "name": rates.name,
+                "motor_rpm": rates.motor_rpm.tolist(),
+                "v": [_finite(v) for v in rates.data[:, 0]],
+                "head_rate": [_finite(v) for v in rates.data[:, 1]],
+                "fitted_v": rates.fitted[:, 0].tolist(),
+                "fitted_head_rate": rates.fitted[:, 1].tolist(),
+            }
+            for rates in fit.rates
+        ],
+        "nuisances": {
+            name: {"value": e.value, "std": _finite(e.std), "unit": fit.units.get(name, "1")}
+            for name, e in fit.nuisances.items()
+        },
+        "correlation_from_frame_to_frame": fit.memory,
+        "decisions": list(fit.said),
         "iterations": fit.iterations,
         "previews": fit.previews,
         "whole_simulations": fit.simulations,
@@ -82,6 +101,11 @@ def as_dict(fit: Fit) -> dict[str, Any]:
         "dataset": None if fit.dataset.path is None else str(fit.dataset.path),
         "derjax": version("derjax"),
     }
+
+
+def as_unit(fit: Fit, name: str) -> str:
+    """The unit of a parameter or nuisance; "1" if it has none."""
+    return fit.units.get(name, unit_of(name))
 
 
 def _finite(number: float) -> float | None:
@@ -93,7 +117,7 @@ def table(fit: Fit) -> str:
     width = max(len(name) for name in fit.estimates)
     lines = []
     for name, e in fit.estimates.items():
-        unit = unit_of(name)
+        unit = as_unit(fit, name)
         unit = "" if unit == "1" else f" {unit}"
         if math.isfinite(e.std):
             # Two significant digits of the error, and the value to the same place.
@@ -116,13 +140,50 @@ def rms(of_kinds: Mapping[str, float]) -> str:
         parts.append(f"{1e3 * of_kinds['position']:.4g} mm")
     if "head_angle" in of_kinds:
         parts.append(f"{of_kinds['head_angle']:.4g} rad")
+    if "speed" in of_kinds:
+        parts.append(f"{1e3 * of_kinds['speed']:.4g} mm/s")
+    if "head_rate" in of_kinds:
+        parts.append(f"{of_kinds['head_rate']:.4g} rad/s")
     return ", ".join(parts)
 
 
-def write(fit: Fit, output: Output, figures: bool = True) -> tuple[Path, ...]:
-    """Write fit.json and, if wanted, fit.png into a directory; returns their paths."""
+def as_json(profiles: Sequence[Profile], drawn: Posterior | None) -> dict[str, Any]:
+    """Profiles and posterior as they are written to fit.json."""
+    content: dict[str, Any] = {}
+    if profiles:
+        content["profiles"] = {
+            one.name: {
+                "ci95": [_finite(end) for end in one.ci95],
+                "values": one.values.tolist(),
+                "rise_of_loss": one.rise.tolist(),
+            }
+            for one in profiles
+        }
+    if drawn is not None:
+        content["posterior"] = {
+            "mean": drawn.mean(),
+            "std": drawn.std(),
+            "ci95": drawn.ci95(),
+            "r_hat": dict(zip(drawn.names, drawn.r_hat.tolist(), strict=True)),
+            "effective_draws": dict(zip(drawn.names, drawn.effective.tolist(), strict=True)),
+            "divergences": drawn.divergences,
+        }
+    return content
+
+
+def write(
+    fit: Fit, output: Output, figures: bool = True, more: Mapping[str, Any] | None = None
+) -> tuple[Path, ...]:
+    """Write fit.json and, if wanted, fit.png into a directory; returns their paths.
+
+    Args:
+        fit: what was found.
+        output: where to.
+        figures: whether figures are wanted.
+        more: for fit.json.
+    """
     with output.replacing(REPORT) as temporary:
-        text = json.dumps(as_dict(fit), indent=2, allow_nan=False)
+        text = json.dumps({**as_dict(fit), **(more or {})}, indent=2, allow_nan=False)
         temporary.write_text(text + "\n", encoding="utf-8")
     if not figures:
         return (output.path / REPORT,)
@@ -142,7 +203,9 @@ def figure(fit: Fit) -> "Figure":
 
     tracked = {channel for one in fit.runs for channel in one.run.channels}
     rows = [c for c in (min(tracked - {ANGLE}, default=None), ANGLE) if c in tracked]
-    columns = len(fit.runs)
+    if fit.rates:
+        rows = [next((c for c in rows if c != ANGLE), 0), ANGLE]
+    columns = len(fit.runs) + len(fit.rates)
     canvas = Figure(figsize=(max(5.0, 3.6 * columns), 2.5 * (len(rows) + 1)), layout="constrained")
     axes = canvas.subplots(len(rows) + 1, columns, squeeze=False, sharex="col")
     for column, one in enumerate(fit.runs):
@@ -153,10 +216,13 @@ def figure(fit: Fit) -> "Figure":
         rpm = f" ({', '.join(f'{rate:g}' for rate in rates)} rpm)" if rates.size else ""
         axes[0, column].set_title(f"{one.run.name}{rpm}", fontsize=9)
         axes[-1, column].set_xlabel("time (s)")
-    for row, channel in enumerate(rows):
+    for column, rates in enumerate(fit.rates, len(fit.runs)):
+        rates_panels(list(axes[:, column]), rates)
+    for row, channel in enumerate(rows if fit.runs else ()):
         label = "head angle (rad)" if channel == ANGLE else f"{CHANNELS[channel]} moved by (mm)"
         axes[row, 0].set_ylabel(label)
-    axes[-1, 0].set_ylabel("simulation − track")  # noqa: RUF001
+    if fit.runs:
+        axes[-1, 0].set_ylabel("simulation − track")  # noqa: RUF001
     axes[0, 0].legend(fontsize=8, frameon=False)
     for axis in axes.flat:
         axis.spines[["top", "right"]].set_visible(False)
@@ -164,6 +230,36 @@ def figure(fit: Fit) -> "Figure":
     values = ",  ".join(f"{name} = {value:.4g}" for name, value in fit.values.items())
     canvas.suptitle(f"{values}   ({fit.status})", fontsize=11)
     return canvas
+
+
+def rates_panels(axes: "Sequence[Axes]", rates: RateFit) -> None:
+    """Speed, head rate, and what is left of both, over the rate of the motors."""
+    order = np.argsort(rates.motor_rpm)
+    rpm = rates.motor_rpm[order]
+    for axis, channel, scale, label in (
+        (axes[0], 0, 1e3, "speed (mm/s)"),
+        (axes[1], 1, 1.0, "head rate (rad/s)"),
+    ):
+        data, std = scale * rates.data[order, channel], scale * rates.std[order, channel]
+        axis.plot(
+            rpm, scale * rates.fitted[order, channel], color=AFTER, lw=1.5, label="after the fit"
+        )
+        error = np.nan_to_num(std)
+        axis.errorbar(
+            rpm, data, error, ls="none", marker="o", ms=3, mfc="none", color=TRACK, label="measured"
+        )
+        axis.set_ylabel(label)
+        left = (rates.fitted - rates.data)[order, channel] / np.nanmax(
+            np.abs(rates.data[:, channel])
+        )
+        axes[-1].plot(
+            rpm, 100 * left, "o-", ms=3, lw=0.8, color=AXES[3 * channel], label=label.split(" (")[0]
+        )
+    axes[-1].axhline(0.0, color=BEFORE, lw=0.8)
+    axes[-1].set_ylabel("simulation − measured (%)")  # noqa: RUF001
+    axes[-1].set_xlabel("motor (rpm)")
+    axes[-1].legend(fontsize=7, frameon=False)
+    axes[0].set_title(rates.name, fontsize=9)
 
 
 def _motion(axis: "Axes", one: RunFit, channel: int) -> None:

@@ -1,6 +1,7 @@
 """Tracked motions, and the scene that they were filmed in."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import jax
@@ -17,6 +18,8 @@ from derjax.scenes.timing import time_grid
 
 from .datasetfile import ANGLE_UNITS, LENGTH_UNITS, DatasetFile, RunFile
 from .direction import check_direction
+from .joint.file import KnownPrior, NoiseFile, Nuisances, Prior, Shared
+from .joint.rates import Rates, load_rates
 from .observe import ANGLE, seen
 from .reading import Track, read_track
 
@@ -43,6 +46,10 @@ class Run:
         said: what was decided when the track was read, as sentences.
         sight: the axis along which the camera looks, if the track is of the robot's silhouette;
             None if it is of the head.
+        steady: whether the robot swims steadily from the first frame on.
+        scene: the robot; None: that of the dataset.
+        own: parameters of which this run has a value of its own.
+        nuisances: what else is estimated, in SI units.
     """
 
     name: str
@@ -58,6 +65,10 @@ class Run:
     dropped: int = 0
     said: tuple[str, ...] = ()
     sight: int | None = None
+    steady: bool = False
+    scene: SceneFile | None = None
+    own: tuple[str, ...] = ()
+    nuisances: Nuisances = field(default_factory=Nuisances)
 
     @property
     def is_angle(self) -> np.ndarray:
@@ -71,13 +82,30 @@ class Dataset:
 
     Attributes:
         scene: the robot, with the parameters to start from.
-        runs: at least one.
+        runs: tracks.
         path: of the dataset file, for reports.
+        rates: speeds of robots that swim steadily.
+        priors: of what is fitted.
+        noise: what residuals are like.
+        shared: what else is estimated, the same for all.
     """
 
     scene: SceneFile
     runs: tuple[Run, ...]
     path: Path | None = None
+    rates: tuple[Rates, ...] = ()
+    priors: Mapping[str, KnownPrior] = field(default_factory=dict)
+    noise: NoiseFile = field(default_factory=NoiseFile)
+    shared: Shared = field(default_factory=Shared)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether all are tracks from rest, of one robot, with independent Gaussian noise."""
+        plain = all(
+            not (run.steady or run.scene or run.own or run.nuisances.given) for run in self.runs
+        )
+        nothing = not (self.rates or self.priors or self.shared.viscosity)
+        return plain and nothing and self.noise == NoiseFile()
 
     @property
     def sight(self) -> int | None:
@@ -103,15 +131,33 @@ def load_dataset(path: str | Path) -> Dataset:
     for described in file.runs:
         _check_rates(path, described, scene)
     tracks = [read_track(path.parent / run.track, run) for run in file.runs]
-    runs = tuple(_run(track) for track in tracks)
+    scenes = [_scene_of(path, run.scene, scene) for run in file.runs]
+    runs = tuple(_run(track, own) for track, own in zip(tracks, scenes, strict=True))
     for run, one in zip(runs, tracks, strict=True):
         described = one.keys
         track = path.parent / described.track
-        _check_covered(track, run, scene, described)
-        check_plausible(track, run, scene, described)
-        check_direction(track, scene, described, run.time, run.values, run.channels)
+        own = run.scene or scene
+        _check_covered(track, run, own, described)
+        check_plausible(track, run, own, described)
+        check_direction(track, own, described, run.time, run.values, run.channels)
     _check_alike(path, runs)
-    return Dataset(_in_steps_for(runs, scene), runs, path)
+    return Dataset(
+        _in_steps_for(runs, scene),
+        runs,
+        path,
+        load_rates(path, file.rates, scene),
+        file.priors,
+        file.noise,
+        file.nuisances,
+    )
+
+
+def _scene_of(path: Path, name: str | None, scene: SceneFile) -> SceneFile | None:
+    """The scene that a run names; None if it names none, or that of the dataset."""
+    if name is None:
+        return None
+    other = load_scene(path.parent / name)
+    return None if other == scene else other
 
 
 def _in_steps_for(runs: tuple[Run, ...], scene: SceneFile) -> SceneFile:
@@ -119,12 +165,14 @@ def _in_steps_for(runs: tuple[Run, ...], scene: SceneFile) -> SceneFile:
     if scene.time.step is not None or scene.time.frame is not None:
         return scene
     rates = [scene.fastest_rpm if run.motor_rpm is None else run.motor_rpm for run in runs]
+    if not rates:
+        return scene
     fastest = max(float(np.abs(rate).max()) for rate in rates)
     step = time_grid(scene.time.end, None, None, fastest).step
     return scene.model_copy(update={"time": scene.time.model_copy(update={"step": step})})
 
 
-def _run(track: Track) -> Run:
+def _run(track: Track, scene: SceneFile | None) -> Run:
     run = track.keys
     rpm = run.motor_rpm
     return Run(
@@ -137,11 +185,36 @@ def _run(track: Track) -> Run:
         sigma_angle=(
             None if run.sigma_angle is None else run.sigma_angle * ANGLE_UNITS[run.angle_unit]
         ),
-        free_origin=run.origin == "track",
+        free_origin=run.origin == "track" or run.start == "steady",
         drift=run.drift,
         dropped=track.dropped,
         said=track.said,
         sight=track.sight,
+        steady=run.start == "steady",
+        scene=scene,
+        own=run.own,
+        nuisances=_in_si(run),
+    )
+
+
+def _in_si(run: RunFile) -> Nuisances:
+    """What else is estimated, in m, s and rad."""
+    length, time = LENGTH_UNITS[run.length_unit], TIME_UNITS[run.time_unit]
+    units = {
+        "origin": length,
+        "drift": length / time,
+        "time_offset": time,
+        "angle_origin": ANGLE_UNITS[run.angle_unit],
+    }
+    return run.nuisances.model_copy(
+        update={
+            name: Prior(
+                mean=None if prior.mean is None else units[name] * prior.mean,
+                std=None if prior.std is None else units[name] * prior.std,
+            )
+            for name, prior in run.nuisances.given.items()
+            if name in units
+        }
     )
 
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-KINDS = ("position", "head_angle")
-"""Kinds of observations that have noise of their own."""
+KINDS = ("position", "head_angle", "speed", "head_rate", "prior")
+"""Kinds of observations that have noise of their own; what is known beforehand is the last."""
 
 RANK_TOLERANCE = 1e-6
 """Sensitivities that are smaller than the largest by this factor are round-off."""
@@ -88,9 +88,20 @@ class Residuals:
         scale = 1.0 / np.sqrt(self.variances())
         return scale * self.value, scale[:, None] * self.jacobian
 
+    def standardised(self) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m p"]]:
+        """Residuals and Jacobian in units in which the noise is 1, as far as errors go.
+
+        Noise that was estimated is corrected for what was fitted to it.
+        """
+        r, jacobian = self.whitened()
+        if self.noise_given:
+            return r, jacobian
+        scale = np.sqrt(self.degrees_of_freedom / self.value.size)
+        return scale * r, scale * jacobian
+
     def by_kind(self, squares: Float[np.ndarray, " m"]) -> dict[str, float]:
         """Root of the mean of some squares (m^2, rad^2), for every kind there is."""
-        masks = {name: self.kind == k for k, name in enumerate(KINDS)}
+        masks = {name: self.kind == k for k, name in enumerate(KINDS[:-1])}
         return {n: float(np.sqrt(squares[m].mean())) for n, m in masks.items() if m.any()}
 
     def rms(self) -> dict[str, float]:
@@ -125,10 +136,9 @@ def uncertainty(residuals: Residuals, names: Sequence[str]) -> Uncertainty:
     from scipy import special  # slow to import
 
     dof = residuals.degrees_of_freedom
-    _, jacobian = residuals.whitened()
+    _, jacobian = residuals.standardised()
     quantile = float(special.ndtri(0.975))
     if not residuals.noise_given:
-        jacobian = jacobian * np.sqrt(dof / residuals.value.size)
         quantile = float(special.stdtrit(dof, 0.975))
     _, singular, vt = np.linalg.svd(jacobian, full_matrices=False)
     null = singular <= RANK_TOLERANCE * singular.max(initial=np.finfo(float).tiny)

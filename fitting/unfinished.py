@@ -71,9 +71,23 @@ def _identity(
     tracks = hashlib.sha256()
     for run in dataset.runs:
         words = (run.name, run.channels, run.motor_rpm, run.sigma, run.sigma_angle)
-        tracks.update(repr((*words, run.free_origin, run.drift, run.sight)).encode())
+        more = (
+            run.free_origin,
+            run.drift,
+            run.sight,
+            run.steady,
+            run.scene,
+            run.own,
+            run.nuisances,
+        )
+        tracks.update(repr((*words, *more)).encode())
         for array in (run.time, run.values):
             tracks.update(np.ascontiguousarray(array).tobytes())
+    for rates in dataset.rates:
+        tracks.update(repr((rates.name, rates.scene, rates.own, rates.nuisances)).encode())
+        for array in (rates.motor_rpm, *rates.measured):
+            tracks.update(np.ascontiguousarray(array).tobytes())
+    tracks.update(repr((dataset.priors, dataset.noise, dataset.shared)).encode())
     table = dataset.scene.motor_table
     content = {
         "version": version("derjax"),

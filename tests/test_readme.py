@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+import xarray as xr
 from quick import environment_of_users
 
 ROOT = Path(__file__).parents[1]
@@ -36,6 +38,12 @@ def test_the_calibration_of_the_readme(tmp_path: Path) -> None:
     fit = json.loads((tmp_path / "fit" / "fit.json").read_text())
     assert fit["status"] == "converged"
     assert (tmp_path / "fit" / "fit.png").stat().st_size > 10_000
+    page = (tmp_path / "fit" / "report.html").read_text(encoding="utf-8")
+    labelled = xr.load_dataset(tmp_path / "fit" / "fit.nc")
+    for name in TRUTH:
+        assert f"{fit['parameters'][name]['value']:.6g}" in page
+        kept = labelled["value"].sel(parameter=name)
+        assert float(kept) == pytest.approx(fit["parameters"][name]["value"])
     for name, truth in TRUTH.items():
         found = fit["parameters"][name]
         assert abs(found["value"] - truth) <= 3.0 * found["std"] + BETWEEN_CODES * truth

@@ -32,6 +32,7 @@ class Turn:
         turn, shift: how it has moved: x to turn x + shift (m).
         speed: m/s, along the axis of `turn`, which points as the shape spins.
         head_rate: rad/s, at which the head has turned about its own axis.
+        states: where it began and after every step, with a leading axis.
         stats: how the steps went.
     """
 
@@ -41,11 +42,12 @@ class Turn:
     shift: Float[Array, " 3"]
     speed: Float[Array, ""]
     head_rate: Float[Array, ""]
+    states: State
     stats: RolloutStats
 
 
-def _beginning(scene: Scene, state: State, z: Array) -> State:
-    """A state that is displaced by z, without history.
+def beginning(scene: Scene, state: State, z: Array) -> State:
+    """A state that is displaced by z (2 d,) (m, rad, m/s, rad/s), without history.
 
     Else a turn would depend on more than where it begins.
     """
@@ -65,7 +67,7 @@ def _marched(steps: int, scene: Scene, begin: State, period: Array) -> tuple[Sta
 @partial(jax.jit, static_argnums=0)
 def states_of_turn(steps: int, scene: Scene, state: State, period: Array) -> State:
     """The states of a turn, after every step of time, with a leading axis."""
-    begin = _beginning(scene, state, jnp.zeros(2 * state.q.size))
+    begin = beginning(scene, state, jnp.zeros(2 * state.q.size))
     return _marched(steps, scene, begin, period)[0]
 
 
@@ -73,7 +75,7 @@ def states_of_turn(steps: int, scene: Scene, state: State, period: Array) -> Sta
 def one_turn(steps: int, scene: Scene, state: State, period: Array, z: Array) -> Turn:
     """A turn of some period (s) that begins displaced by z (2 d,) (m, rad, m/s, rad/s)."""
     topology = scene.rod.topology
-    begin = _beginning(scene, state, z)
+    begin = beginning(scene, state, z)
     states, stats = _marched(steps, scene, begin, period)
     end = jax.tree.map(lambda leaf: leaf[-1], states)
     turn, shift = jnp.eye(3), jnp.zeros(3)
@@ -95,7 +97,7 @@ def one_turn(steps: int, scene: Scene, state: State, period: Array, z: Array) ->
     every = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), begin, states)
     turned = jnp.zeros(2) if topology.head is None else head_angle(topology, every)
     rates = shift @ axis / period, (turned[-1] - turned[0]) / period
-    return Turn(change, back, turn, shift, *rates, stats)
+    return Turn(change, back, turn, shift, *rates, every, stats)
 
 
 def fitted(before: Float[Array, "n 3"], after: Float[Array, "n 3"]) -> tuple[Array, Array]:
@@ -140,19 +142,42 @@ def by_parameter(
     """How the end of a turn, speed and head rate change with a parameter, the beginning fixed."""
 
     def turned(value: Array) -> tuple[Array, Array, Array]:
-        other = scene.replace(**{name: value})
-        for _ in range(enlarged):
-            other = enlarge(other)
-        # Motors at another rate are round in another time, and what is held may stand elsewhere.
-        time = period * _fastest(scene) / _fastest(other)
-        held = np.array(scene.rod.topology.fixed_dofs, int)
-        apart = (other.start.q - scene.start.q)[held]
-        z = jnp.zeros(2 * state.q.size).at[held].set(apart)
-        done = one_turn(steps, other, state, time, z)
+        still = jnp.zeros(2 * state.q.size)
+        done, _ = turn_with({name: value}, enlarged, scene, state, steps, period, still)
         return done.change, done.speed, done.head_rate
 
     value = jnp.asarray(scene.parameters[name], float)
     return jax.jvp(turned, (value,), (jnp.ones_like(value),))[1]
+
+
+def turn_with(
+    numbers: dict[str, Array],
+    enlarged: int,
+    scene: Scene,
+    state: State,
+    steps: int,
+    period: Array,
+    z: Array,
+) -> tuple[Turn, Array]:
+    """A turn of a scene with other numbers, that begins displaced by z, and its period (s).
+
+    Args:
+        numbers: parameters by name.
+        enlarged: how often the lists of contacts are to be made longer.
+        scene: with the numbers that `state` and `period` are of.
+        state: where the turn begins.
+        steps: of time in a turn.
+        period: s.
+        z: (2 d,) m, rad, m/s, rad/s.
+    """
+    other = scene.replace(**numbers)
+    for _ in range(enlarged):
+        other = enlarge(other)
+    # Motors at another rate are round in another time, and what is held may stand elsewhere.
+    time = period * _fastest(scene) / _fastest(other)
+    held = np.array(scene.rod.topology.fixed_dofs, int)
+    apart = (other.start.q - scene.start.q)[held]
+    return one_turn(steps, other, state, time, z.at[held].add(apart)), time
 
 
 def _fastest(scene: Scene) -> Array:

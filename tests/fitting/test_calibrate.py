@@ -248,6 +248,7 @@ def test_another_zero_of_the_angle_is_a_likely_cause(dataset, simulator) -> None
     assert best is not None
     found = likely_causes(model, np.zeros(2), best)
     assert "with another zero of the head angle the fit would be much better" in found[0].sentence
+    assert "nuisances = { angle_origin = {} }" in found[0].sentence
     assert "time_offset" in found[0].sentence
     freed = tuple(replace(run, free_angle=True) for run in runs)
     again = minimise(lambda free: model.preview(free, freed), np.zeros(2))

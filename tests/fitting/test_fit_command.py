@@ -32,6 +32,9 @@ end = 3.0
 inertia = false
 """
 
+NO_FIGURES = {"fit.json", "fit.nc"}
+ALL = {*NO_FIGURES, "fit.png", "report.html"}
+
 DRIFT = np.array([0.0, 1e-3, 0.0, 0.0])
 """m/s, of tracks that say so to nobody."""
 
@@ -163,7 +166,7 @@ def test_the_command_fits_and_writes(finished) -> None:
     assert content["parameters"]["C_r"]["value"] == pytest.approx(0.36, rel=0.01)
     assert content["parameters"]["C_t"]["start"] == 1.0
     assert content["goodness"]["good"]
-    assert names(out) == {"fit.json", "fit.png"}
+    assert names(out) == ALL
 
 
 def test_what_is_printed(path, capsys) -> None:
@@ -204,11 +207,11 @@ def test_a_fit_that_was_stopped_is_resumed(finished, path, monkeypatch, capsys, 
     if when == "compare":
         # The fit itself is done: it counts, without the picture of the start.
         assert status == 0
-        assert names(out) == {"fit.json", "fit.png"}
+        assert names(out) == ALL
         assert numbers(out) == numbers(directory / "out")
         return
     assert status == 130
-    result = set() if when == "first" else {"fit.json", "fit.png"}
+    result = set() if when == "first" else ALL
     assert names(out) == {"evaluations", *result}
     assert len(list((out / "evaluations").glob("*.npz"))) == left // 2
     if result:
@@ -222,7 +225,7 @@ def test_a_fit_that_was_stopped_is_resumed(finished, path, monkeypatch, capsys, 
     assert first.done + second.done == total
     assert numbers(out) == numbers(directory / "out")
     assert (out / "fit.png").read_bytes() == (directory / "out" / "fit.png").read_bytes()
-    assert names(out) == {"fit.json", "fit.png"}
+    assert names(out) == ALL
 
 
 def test_the_printer_may_be_interrupted(path, monkeypatch) -> None:
@@ -273,7 +276,7 @@ def test_the_search_for_causes_may_be_interrupted(
     assert again.done > 0
     assert kept > 4
     assert "a steady drift" in numbers(out)["likely_causes"][0]["sentence"]
-    assert names(out) == {"fit.json"}
+    assert names(out) == NO_FIGURES
 
 
 def test_a_fit_that_ran_out_of_iterations_goes_on(path, monkeypatch, capsys) -> None:
@@ -286,14 +289,14 @@ def test_a_fit_that_ran_out_of_iterations_goes_on(path, monkeypatch, capsys) -> 
         assert main(argv) == 2
     assert numbers(out)["status"] == "max_iterations"
     assert numbers(out)["likely_causes"] == []  # of a misfit that is none yet
-    assert names(out) == {"fit.json", "evaluations"}
+    assert names(out) == {*NO_FIGURES, "evaluations"}
     (advice,) = [line for line in capsys.readouterr().err.splitlines() if "go on with" in line]
     assert advice.endswith("--max-iterations 4 --no-figures --resume")
     more = [*argv[:-1], "30"]
     with monkeypatch.context() as patch:
         second = Runs(patch)
         assert main([*more, "--resume"]) == 0
-    assert names(out) == {"fit.json"}
+    assert names(out) == NO_FIGURES
     resumed = numbers(out)
     alone = Runs(monkeypatch)
     assert main([*more, "--overwrite"]) == 0
@@ -382,7 +385,7 @@ def test_a_full_disk_does_not_stop_a_fit(path, finished, monkeypatch, capsys) ->
     out = path.parent / "out"
     assert main(["fit", str(path), "-o", str(out)]) == 0
     assert numbers(out) == numbers(finished[0] / "out")
-    assert names(out) == {"fit.json", "fit.png"}
+    assert names(out) == ALL
     said = capsys.readouterr().err
     assert said.count("derjax: warning: ") == 1
     assert ".npz: cannot be written: No space left on device; the fit goes on" in said

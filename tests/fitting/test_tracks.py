@@ -74,7 +74,7 @@ def test_start_and_end_select_frames(written) -> None:
     assert run.time[[0, -1]] == pytest.approx([2.0, 11.0])
 
 
-GOOD = good_rows()
+STEADY = 'start = "steady"\n'
 
 CASES = {
     "missing track": ({"run": RUN.replace("track.csv", "trak.csv")}, "trak.csv: no such file"),
@@ -118,6 +118,22 @@ CASES = {
     "unknown key": ({"run": RUN + "sigmas = 1\n"}, r"runs.*entry 1.*sigmas: unknown key.*'sigma'"),
     "unknown unit": ({"run": RUN.replace('"mm"', '"inch"')}, "dataset.toml: .*length_unit.*inch"),
     "only times": ({"run": '[[runs]]\ntrack="track.csv"\ncolumns={t="t"}\n'}, "at least one of x"),
+    "a silhouette that starts steady": (
+        {"run": RUN.replace(', head_angle = "angle"', "") + STEADY + 'point = "silhouette"\n'},
+        r'dataset.toml: .*entry 1.*start = "steady": .*silhouette changes as the robot rolls',
+    ),
+    "a late start that starts steady": (
+        {"run": RUN + STEADY + "nuisances = { time_offset = {} }\n"},
+        r"entry 1.*nuisances.time_offset: has no effect",
+    ),
+    "a phase from rest": (
+        {"run": RUN + "nuisances = { phase = {} }\n"},
+        r'nuisances.phase: is only for tracks with start = "steady"',
+    ),
+    "a rate from rest": (
+        {"run": RUN + "nuisances = { motor_rpm = { std = 1.0 } }\n"},
+        r'nuisances.motor_rpm: is only for tracks with start = "steady"',
+    ),
     "no runs": ({"run": ""}, "dataset.toml: .*runs"),
     "bad scene": ({"scene": "[head]\nC_tt = 1\n"}, "scene.toml: .*C_tt.*'C_t'"),
 }
