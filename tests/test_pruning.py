@@ -250,7 +250,7 @@ def test_numbers_are_not_part_of_the_program_and_terms_are():
     potential_energy(scene, state)
     for numbers in ({"C_t": 2.0}, {"viscosity": 0.5, "youngs_modulus": 2e6}, {"rpm": 10.0}):
         potential_energy(*example("rss", **numbers))
-    potential_energy(replace(scene, step_length=jnp.asarray(0.5)), state)
+    potential_energy(replace(scene, step_length=0.5 * scene.step_length), state)
     assert potential_energy._cache_size() == len(traced) == 1  # pyright: ignore
     potential_energy(*example("head"))
     assert potential_energy._cache_size() == len(traced) == 2  # pyright: ignore

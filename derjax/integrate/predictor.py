@@ -183,9 +183,13 @@ def expected_displacement(topology: Topology, state: State, ahead: Array, unit: 
     turn = rotation(_half_tangent(angle.reshape(-1, 3)))
     goal = _applied(turn, now - centre + onward - drift, body) + centre + drift
     fixed = np.array(topology.fixed_dofs, int)
-    goal = state.q.at[:n].set(goal.ravel()).at[fixed].set(state.q[fixed])
+    # What is held may be led along, at a velocity that does not change.
+    last = past.lengths[0]
+    pace = jnp.where(last > 0.0, past.moves[0] / jnp.where(last > 0.0, last, 1.0), state.velocity)
+    led = ahead * pace[fixed]
+    goal = state.q.at[:n].set(goal.ravel()).at[fixed].set(state.q[fixed] + led)
     moved = _of_kept_lengths(topology, now, positions(topology, goal)) - now
     # Before the first step there is no mean, but there may be a velocity.
     result = jnp.concatenate([moved.ravel(), move[n:]])
     result = jnp.where(has_moved(state), result, ahead * state.velocity)
-    return result.at[fixed].set(0.0)
+    return result.at[fixed].set(led)

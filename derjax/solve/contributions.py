@@ -231,6 +231,10 @@ class ContactPotential(LocalPotential, Protocol):
         """N/m, the second derivative."""
         ...
 
+    def curvature(self, local: Array, data: Any) -> Array:
+        """(k, k) force times the second derivative of the overlap, for a force that can be."""
+        ...
+
 
 @pytree
 class Contacts(Pairs):
@@ -246,6 +250,12 @@ class Contacts(Pairs):
         """The overlaps (m) and their derivatives; those not in use are far from touching."""
         p, slope = jax.vmap(self.potential.overlap)(q[self.dofs], self.data)
         return jnp.where(self.mask, p, -1.0), jnp.where(self.mask[:, None], slope, 0.0)
+
+    def add_curvatures(self, matrix: Matrix, q: Dofs) -> Matrix:
+        """A dense matrix with the part of the second derivative that has no stiffness in it."""
+        return self._if_any(
+            lambda: _add_blocks(matrix, self.dofs, self._each(q, self.potential.curvature)), matrix
+        )
 
     def split(self, q: Dofs, most: int) -> tuple["Contacts", "Contacts"]:
         """The closest pairs, up to some number, and a list of the same length without them."""

@@ -244,7 +244,7 @@ def equilibrium(
         stalled = before <= 100.0 * settings.tolerance
         status = jnp.select(
             [
-                solved,
+                solved | (accepted & stalled & (count > settings.max_iterations)),
                 accepted & (count > settings.max_iterations),
                 accepted | needs_refactor | (now.part > shortest),
                 stalled,

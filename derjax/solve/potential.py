@@ -118,10 +118,11 @@ class Potential:
         """`linearise`, with contact set apart."""
         near, rest = contacts.split(q, LISTED)
         others = tuple(rest if c is contacts else c for c in self.contributions)
-        matrix = Potential(others).hessian(q)
+        matrix = near.add_curvatures(Potential(others).hessian(q), q)
         p, slopes = near.overlaps(q)
         felt = jnp.abs(slopes)
-        pressed = near.stiffnesses(p) * jnp.sum(felt * sizes[near.dofs], axis=1)
+        # Where they touch, softened distances are the last of many operations.
+        pressed = 4.0 * near.stiffnesses(p) * jnp.sum(felt * sizes[near.dofs], axis=1)
         rounding = jnp.abs(matrix) @ sizes
         rounding = rounding.at[near.dofs].add(felt * pressed[:, None])
         smooth = factor(matrix[chosen][:, chosen], True, unit[chosen])

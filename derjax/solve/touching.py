@@ -1,7 +1,7 @@
 """Newton's directions where rods touch: the law of contact as it is, all else as its tangent.
 
-With A the second derivative of all but contact, N (m, d) the derivatives of the overlaps p of m
-pairs, and F their law, a direction u is wanted that balances forces,
+With A the second derivative but for the stiffness of contact, N (m, d) the derivatives of the
+overlaps p of m pairs, and F their law, a direction u is wanted that balances forces,
 
     A u = -g - N^T (F(p + N u) - F(p)),
 

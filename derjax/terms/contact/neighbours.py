@@ -278,9 +278,9 @@ def search(
 ) -> Neighbours:
     """The pairs of edges that come as close as their diameter and a margin if nodes go as expected.
 
-    The margin allows every node to go astray by a sixteenth of what `move` would take the fastest,
-    and by an eighth of the diameter in any case. A step that goes astray farther has all pairs
-    checked.
+    The margin allows every node to go astray by three eighths of what `move` would take the
+    fastest, and by a quarter of the diameter in any case. A step that goes astray farther has all
+    pairs checked.
 
     Args:
         rod: whose edges.
@@ -294,7 +294,7 @@ def search(
     x = lax.stop_gradient(positions(topology, state.q))
     moves = lax.stop_gradient(positions(topology, move))
     farthest = jnp.sqrt(jnp.max(dot(moves, moves)))
-    skin, margin = 2.5 * farthest + 0.25 * diameter, 0.125 * farthest + 0.25 * diameter
+    skin, margin = 2.5 * farthest + 0.25 * diameter, 0.75 * farthest + 0.5 * diameter
     edges, found = closest(topology, x, moves, pairs, diameter + skin, diameter + margin, capacity)
     return Neighbours(
         edges=edges,

@@ -102,21 +102,32 @@ class ContactEnergy:
 
     def hessian(self, local: Float[Array, " 12"], data: ContactLaw) -> Array:
         at, d = meeting(local, data.diameter)
-        x0, x1, y0, y1 = local.reshape(4, 3)
-        w, pull = weights(at), -force(d, data) / d
-        # Half of G and of A, whose products are those of half of D.
-        ends = jnp.array([[-1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-        along = jnp.stack([x1 - x0, y0 - y1], axis=1)
-        g = (ends[:, None, :] * at.gap[:, None] + w[:, None, None] * along).reshape(12, 2)
-        bend = barrier_curvature(jnp.stack([at.s, at.t]))
-        a = along.T @ along + 0.5 * (SOFTNESS * data.diameter) ** 2 * jnp.diag(bend)
-        determinant = a[0, 0] * a[1, 1] - a[0, 1] ** 2
-        inverse = jnp.array([[a[1, 1], -a[0, 1]], [-a[0, 1], a[0, 0]]]) / determinant
-        squared = jnp.kron(jnp.outer(w, w), jnp.eye(3)) - g @ inverse @ g.T
-        normal = jnp.outer(w, at.gap / d).ravel()
-        return (_stiffness(data.diameter - d, data) - pull) * jnp.outer(
-            normal, normal
-        ) + pull * squared
+        return _second(local, data, at, d, _stiffness(data.diameter - d, data), force(d, data))
+
+    def curvature(self, local: Float[Array, " 12"], data: ContactLaw) -> Array:
+        at, d = meeting(local, data.diameter)
+        # A guess may overlap by far more than rods ever do.
+        p = jnp.minimum(data.diameter - d, 0.5 * RAMP * data.diameter)
+        return _second(local, data, at, d, jnp.zeros(()), _force(p, data))
+
+
+def _second(
+    local: Float[Array, " 12"], data: ContactLaw, at: Near, d: Array, stiffness: Array, push: Array
+) -> Float[Array, "12 12"]:
+    """The second derivative of an energy of the distance, from its own two derivatives."""
+    x0, x1, y0, y1 = local.reshape(4, 3)
+    w, pull = weights(at), -push / d
+    # Half of G and of A, whose products are those of half of D.
+    ends = jnp.array([[-1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    along = jnp.stack([x1 - x0, y0 - y1], axis=1)
+    g = (ends[:, None, :] * at.gap[:, None] + w[:, None, None] * along).reshape(12, 2)
+    bend = barrier_curvature(jnp.stack([at.s, at.t]))
+    a = along.T @ along + 0.5 * (SOFTNESS * data.diameter) ** 2 * jnp.diag(bend)
+    determinant = a[0, 0] * a[1, 1] - a[0, 1] ** 2
+    inverse = jnp.array([[a[1, 1], -a[0, 1]], [-a[0, 1], a[0, 0]]]) / determinant
+    squared = jnp.kron(jnp.outer(w, w), jnp.eye(3)) - g @ inverse @ g.T
+    normal = jnp.outer(w, at.gap / d).ravel()
+    return (stiffness - pull) * jnp.outer(normal, normal) + pull * squared
 
 
 @pytree
