@@ -295,7 +295,9 @@ def search(
     moves = lax.stop_gradient(positions(topology, move))
     farthest = jnp.sqrt(jnp.max(dot(moves, moves)))
     skin, margin = 2.5 * farthest + 0.25 * diameter, 0.75 * farthest + 0.5 * diameter
-    edges, found = closest(topology, x, moves, pairs, diameter + skin, diameter + margin, capacity)
+    edges, found = closest(
+        topology, x, moves, pairs, diameter + 2.0 * farthest + margin, diameter + margin, capacity
+    )
     return Neighbours(
         edges=edges,
         nodes=_nodes_of(topology, edges),
