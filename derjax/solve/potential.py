@@ -122,7 +122,7 @@ class Potential:
         p, slopes = near.overlaps(q)
         felt = jnp.abs(slopes)
         # Where they touch, softened distances are the last of many operations.
-        pressed = 4.0 * near.stiffnesses(p) * jnp.sum(felt * sizes[near.dofs], axis=1)
+        pressed = 2.0 * near.stiffnesses(p) * jnp.sum(felt * sizes[near.dofs], axis=1)
         rounding = jnp.abs(matrix) @ sizes
         rounding = rounding.at[near.dofs].add(felt * pressed[:, None])
         smooth = factor(matrix[chosen][:, chosen], True, unit[chosen])
