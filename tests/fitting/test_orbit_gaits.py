@@ -6,6 +6,7 @@ import pytest
 from derjax import SceneFile
 from fitting.joint.fit import calibrate_jointly
 from fitting.joint.gait import Gait, swum
+from fitting.joint.periodogram import turning
 from fitting.joint.sources import OrbitSource, source
 from fitting.tracks import Dataset, Run
 
@@ -60,21 +61,39 @@ def test_the_same_is_found_from_elsewhere(found) -> None:
     assert again.jacobian[:3] == pytest.approx(fresh.jacobian[:3], rel=2e-3)
 
 
-def test_a_side_view_gives_the_truth(limping, found) -> None:
-    """x and y only, where how the head goes round tells how fast the robot turns.
-
-    Its head is 25 micrometres from the way.
-    """
-    frames, noise = np.arange(0.0, 60.0), 3e-6
+def side_view(found: OrbitSource, noise: float) -> Run:
+    """x and y of a robot whose head is 25 micrometres from its way."""
+    frames = np.arange(0.0, 60.0)
     track = np.asarray(swum(Gait.of(found(VALUES).gait), frames, 1.0, 0.7))[:, :2]
     values = track + noise * np.random.default_rng(0).normal(size=track.shape)
-    run = Run("side", frames, (0, 1), values, 45.0, steady=True, free_origin=True)
+    return Run("side", frames, (0, 1), values, 45.0, steady=True, free_origin=True)
+
+
+def test_a_side_view_gives_the_truth(limping, found) -> None:
+    """How the head goes round its way tells how fast the robot turns."""
+    run = side_view(found, 3e-6)
+    elsewhere = found(np.array([4.3, 0.4])).gait
+    assert turning(run, elsewhere) == pytest.approx(found(VALUES).gait[1], rel=0.01)
     fit, solved = calibrate_jointly(Dataset(limping, (run,)), NAMES, {"C_t": 4.3, "C_r": 0.4})
     assert fit.status == "converged"
     assert fit.goodness.good
-    assert fit.said[0].startswith("side: compared with a periodic orbit")
+    assert fit.said == (
+        "side: compared with a periodic orbit from the first frame on, without simulating the "
+        "transient; also estimated: phase, roll, orientation about z, origin x, origin y",
+    )
     for name, truth in TRUTH.items():
         assert abs(fit.values[name] - truth) < 4 * fit.estimates[name].std
-    assert fit.estimates["C_t"].std < 0.1
-    assert fit.noise["position"] == pytest.approx(noise, rel=0.3)
-    assert solved.problem.evaluations < 30
+        assert fit.estimates[name].std < 0.01 * truth
+    assert fit.noise["position"] == pytest.approx(3e-6, rel=0.3)
+    assert solved.problem.evaluations < 15
+
+
+def test_a_motion_below_the_noise_has_no_phase(limping, found) -> None:
+    """Then one speed is all there is, and this is said: a search does not follow the noise."""
+    run = side_view(found, 1e-4)
+    fit, solved = calibrate_jointly(Dataset(limping, (run,)), NAMES, {"C_t": 4.3, "C_r": 0.4})
+    assert fit.status == "converged"
+    assert "in a turn of the motors and round its way is too little to be seen" in fit.said[-1]
+    assert not np.isfinite(fit.nuisances["side: roll"].std)
+    assert "C_t and C_r are not identifiable together" in fit.warnings[0]
+    assert solved.problem.evaluations < 8
