@@ -212,7 +212,7 @@ def scene_of(
     rod, state = rest(topology, nodes)
     contact = Contact(jnp.asarray(stiffness), jnp.asarray(DIAMETER / 2), APART, capacity)
     terms = (*elasticity(rod, ea, ei, ei), *more, contact)
-    settings = NewtonSettings(jnp.asarray(1e-8), jnp.ones(topology.n_dofs))
+    settings = NewtonSettings(jnp.asarray(1e-9), jnp.ones(topology.n_dofs))
     return Scene(rod, terms, None, settings, jnp.asarray(step), euler), state
 
 
