@@ -18,7 +18,6 @@ which has the same order and the same amplification factor.
 """
 
 import math
-import os
 
 import jax.numpy as jnp
 import numpy as np
@@ -42,7 +41,6 @@ from ..step import (
     solve,
 )
 
-SURP = float(os.environ.get("SURP", "0"))
 D = 1.0 - 1.0 / math.sqrt(2.0)
 W = 0.25 * math.sqrt(2.0)
 
