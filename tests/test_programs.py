@@ -104,16 +104,15 @@ def test_other_numbers_share_a_program(kept):
 @pytest.mark.parametrize(
     "changes",
     [
-        {"power": 2},
-        {"power": twice},
-        {"first": jnp.arange(4.0)},
-        {"first": jnp.arange(3, dtype=np.float32)},
-        {"places": [1, 3]},
-        {"more": [jnp.ones(4), jnp.ones(4)]},
-        {"more": (jnp.ones(4),)},
-        {"more": [np.ones(4, np.int32)]},
+        pytest.param({"power": 2}, id="static argument"),
+        pytest.param({"power": twice}, id="static function"),
+        pytest.param({"first": jnp.arange(4.0)}, id="shape"),
+        pytest.param({"first": jnp.arange(3, dtype=np.float32)}, id="precision"),
+        pytest.param({"places": [1, 3]}, id="static field"),
+        pytest.param({"more": [jnp.ones(4), jnp.ones(4)]}, id="longer list"),
+        pytest.param({"more": (jnp.ones(4),)}, id="tuple for list"),
+        pytest.param({"more": [np.ones(4, np.int32)]}, id="kind of number"),
     ],
-    ids=str,
 )
 def test_another_structure_is_another_program(changes):
     process()(*arguments())
