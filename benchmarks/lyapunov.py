@@ -34,7 +34,7 @@ DIFFERENCES = (1e-9, 1e-7, 1e-5)
 
 def scene(end: float) -> SceneFile:
     """The robot, not symmetric."""
-    robot = {"kind": "two_flagella", "pitch": PITCH, "phase": [0.0, 0.5]}
+    robot = {"kind": "two_flagella", "pitch": PITCH, "phase": [np.pi, 0.5]}
     time = {"step": STEP, "end": end, "frame": STEP * STEPS}
     return SceneFile.model_validate({"robot": robot, "time": time, "contact": {"capacity": 200}})
 

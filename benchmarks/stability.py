@@ -165,10 +165,8 @@ def jumps(*rates: float, every: float) -> list[tuple[float, float]]:
     return points
 
 
-SIDE_BY_SIDE = [0.0, math.pi]
-"""Phases (rad) at which two helices are each other's copies, moved aside."""
 COLLIDING = {
-    "robot": {"kind": "two_flagella", "separation": 14e-3, "phase": SIDE_BY_SIDE},
+    "robot": {"kind": "two_flagella", "separation": 14e-3},
     "motor": {"rpm": [60.0, -60.0]},
     "contact": {"capacity": 10**6},
 }

@@ -37,7 +37,7 @@ def nested(hydrodynamics: str) -> SceneFile:
                 "edge_length": 15e-3,
                 "separation": 8e-3,
                 "pitch": 31.8e-3,
-                "phase": [0.0, np.pi - 0.4],
+                "phase": [np.pi, np.pi - 0.4],
             },
             "fluid": {"hydrodynamics": hydrodynamics},
             "motor": {"rpm": [60.0, 50.0]},

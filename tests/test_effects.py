@@ -48,6 +48,8 @@ SCENES: dict[str, dict[str, Any]] = {
         "contact": {"method": "spillmann_teschner"},
         "time": {"inertia": False},
     },
+    "rippled": {"motor": {"ripple": 0.1}},
+    "limited": {"motor": {"stall_torque": 1e-3, "free_rpm": 80.0, "ripple": 0.1}},
     "blocks": {"solver": {"method": "blocks"}, "contact": {"method": "smooth"}},
 }
 
@@ -86,6 +88,10 @@ OTHERS: dict[str, tuple[Any, ...]] = {
     "head.mass": (0.2,),
     "motor.hinge": ("published",),
     "motor.rpm": (50.0,),
+    "motor.stall_torque": (2e-3, 3e-3),
+    "motor.free_rpm": (90.0, 70.0),
+    "motor.ripple": (0.2, 0.0),
+    "motor.ripple_order": (4,),
     "contact.method": ("smooth", "none"),
     "contact.stiffness": (1000.0,),
     "contact.capacity": (5,),

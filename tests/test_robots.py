@@ -192,7 +192,7 @@ def test_edges_are_as_short_as_the_file_allows(size):
 @pytest.mark.parametrize("kind", ["two_flagella", "branched", "clamped"])
 def test_opposite_flagella_are_mirror_images(kind):
     """With phases that are opposite, too: a phase turns a flagellum, and a mirror reverses it."""
-    first, second = coil("left", 0.7), coil("right", -0.7)
+    first, second = coil("left", 0.7), coil("right", np.pi - 0.7)
     body = make(kind, [first, second])
     nodes = np.asarray(body.nodes)
     one, other = (nodes[list(path)] for path in body.topology.filaments)
@@ -207,22 +207,36 @@ def test_opposite_flagella_are_mirror_images(kind):
 
 @pytest.mark.parametrize("kind", ["branched", "clamped"])
 @pytest.mark.parametrize("count", range(2, 9))
-def test_equal_flagella_are_images_under_turns_about_the_axis(kind, count):
+def test_equal_flagella_are_copies_around_the_axis(kind, count):
+    """Shifted, so that those of one phase are in phase in space."""
     body = make(kind, [coil("right", 0.4)] * count)
     nodes = np.asarray(body.nodes)
     own = (len(nodes) - 2) // count if kind == "branched" else len(nodes) // count
     hub, branches = np.split(nodes, [len(nodes) - own * count])
     branches = branches.reshape(count, own, 3)
+    shift = branches[:, :1] - [0, 0, 0]
+    np.testing.assert_allclose(
+        branches - shift, np.tile((branches - shift)[0], (count, 1, 1)), atol=1e-15
+    )
     turn = np.asarray(rotation([1, 0, 0], 2 * np.pi / count))
-    np.testing.assert_allclose(branches @ turn.T, np.roll(branches, -1, axis=0), atol=1e-15)
+    np.testing.assert_allclose(shift[:, 0] @ turn.T, np.roll(shift[:, 0], -1, axis=0), atol=1e-15)
+    np.testing.assert_allclose(np.linalg.norm(shift[1] - shift[0]), SEPARATION, rtol=1e-12)
     np.testing.assert_allclose(hub @ turn.T, hub, atol=1e-16)
     # ... and so are the edges and the hinges, but for the numbers of the nodes.
     paths = np.array(body.topology.filaments)
     np.testing.assert_array_equal(np.diff(paths, axis=0), own)
 
 
-def test_two_flagella_are_images_under_half_a_turn():
-    nodes = np.asarray(make("two_flagella", [coil("right", 0.4)] * 2).nodes)
+def test_two_flagella_are_copies():
+    body = make("two_flagella", [coil("right", 0.4)] * 2)
+    first, second = (np.asarray(body.nodes)[list(path)] for path in body.topology.filaments)
+    np.testing.assert_allclose(
+        second - first, np.tile([0, SEPARATION, 0], (len(first), 1)), atol=1e-16
+    )
+
+
+def test_in_antiphase_two_flagella_are_images_under_half_a_turn():
+    nodes = np.asarray(make("two_flagella", [coil("right", 0.4 + np.pi), coil("right", 0.4)]).nodes)
     turn = np.asarray(rotation([1, 0, 0], np.pi))
     np.testing.assert_allclose((nodes @ turn.T)[::-1], nodes, atol=1e-16)
 
@@ -376,7 +390,8 @@ def moved(body: RobotGeometry, turns: list[np.ndarray], omega: np.ndarray) -> St
         frames.append((np.concatenate([there.ravel(), np.zeros(topology.n_edges)]), rate))
     q, velocity = (jnp.asarray(np.stack(each)) for each in zip(*frames, strict=True))
     n, e, b = len(turns), topology.n_edges, len(topology.hinges)
-    zeros = [jnp.zeros((n, *shape)) for shape in ((e, 3), (b,), (len(topology.motors),), (e,), ())]
+    k = len(topology.motors)
+    zeros = [jnp.zeros((n, *shape)) for shape in ((e, 3), (b,), (k,), (k,), (k,), (e,), ())]
     return State(q, velocity, jnp.zeros_like(q), *zeros, no_history(q))
 
 
@@ -475,10 +490,9 @@ def test_scenes_are_made_of_the_robots_of_their_files(built, name):
     assert len(state.motor_angle) == robot.count
     assert scene.motor is not None
     assert scene.motor.rate.shape == (1, robot.count)
-    for k, (path, hand, phase) in enumerate(zip(paths, robot.hands, robot.phases, strict=True)):
-        azimuth = 2 * np.pi * k / robot.count + (np.pi if robot.kind == "two_flagella" else 0)
+    for path, hand, phase in zip(paths, robot.hands, robot.phases, strict=True):
         x = nodes[list(path)] - nodes[path[0]]
-        x = np.asarray(rotated_about_x(-azimuth - phase, x))
+        x = np.asarray(rotated_about_x(-phase, x))
         if robot.shape == "helix":
             n = len(path) - 3
             edge = helix_contour(robot.helix_radius, robot.pitch, robot.axial_length) / n

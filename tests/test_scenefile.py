@@ -52,6 +52,9 @@ def test_every_parameter_has_a_unit():
         SceneFile(),
         SceneFile.model_validate({"robot": {"kind": "two_flagella"}, "friction": {}}),
         SceneFile.model_validate({"robot": {"shape": "arc"}}),
+        SceneFile.model_validate(
+            {"motor": {"stall_torque": 1e-3, "free_rpm": 60.0, "ripple": 0.1}}
+        ),
     ]
     assert set().union(*(scene.parameters for scene in everything)) == set(PLACES)
 
@@ -169,7 +172,10 @@ def test_template_has_every_key_with_its_default():
     assert check(SceneFile, tomllib.loads(text), Path("scene.toml")) == SceneFile()
     given = tomllib.loads(text)
     everything = re.sub(r"^# (\[\w+\]|\w+ = \S)", r"\1", text, flags=re.MULTILINE)
-    everything = everything.replace('table = "motor.csv"', "", 1)  # excludes rpm
+    everything = everything.replace('table = "motor.csv"', "", 1)  # excludes rpm ...
+    everything = re.sub(
+        r"^(stall_torque|free_rpm) = .*$", "", everything, flags=re.MULTILINE
+    )  # ... too
     documented = tomllib.loads(everything)
     assert set(documented) == set(TABLES)
     for name in TABLES:
@@ -179,10 +185,16 @@ def test_template_has_every_key_with_its_default():
             for kind in (table, *getattr(table, "__args__", ()))
             if hasattr(kind, "model_fields")
         )
-        assert set(documented[name]) == set(model.model_fields) - {"table"}, name
+        assert set(documented[name]) == set(model.model_fields) - {
+            "table",
+            "stall_torque",
+            "free_rpm",
+        }, name
         for key, value in given.get(name, {}).items():
             assert value == model.model_fields[key].default, f"[{name}] {key}"
     assert '# table = "motor.csv"' in text
+    limited = dict(re.findall(r"^# (stall_torque|free_rpm) = (\S+)", text, flags=re.MULTILINE))
+    check(SceneFile, {"motor": {k: float(v) for k, v in limited.items()}}, Path("scene.toml"))
     documented["motor"] = {"table": "motor.csv"} | documented["motor"]
     del documented["motor"]["rpm"]
     check(SceneFile, documented, Path("scene.toml"))  # the examples of what is off are valid

@@ -31,6 +31,7 @@ from ..solve.contributions import Dofs, Mobility
 from ..solve.newton import NewtonInfo, NewtonSettings, equilibrium
 from ..solve.potential import Potential, assemble
 from ..solve.saddle import SaddlePointSystem, no_drag
+from ..terms.motor import TorqueMotor
 from ..terms.term import Prediction, Stage, Term, contributions
 from .motor import Motor
 from .predictor import expected_displacement, with_step
@@ -65,7 +66,8 @@ class Scene:
     Attributes:
         rod: topology and stress-free shape.
         terms: the physical ingredients.
-        motor: what drives the natural twist of `rod.topology.motors`; None without motors.
+        motor: what turns `rod.topology.motors` or `driven_edges`, be it of prescribed rates or of
+            limited torque; None without motors.
         newton: when the solver stops.
         step_length: s, of a step, or of the first one if steps adapt to the motion.
         scheme: how one step of some length is taken.
@@ -80,7 +82,7 @@ class Scene:
 
     rod: Rod
     terms: tuple[Term, ...]
-    motor: Motor | None
+    motor: Motor | TorqueMotor | None
     newton: NewtonSettings
     step_length: Float[Array, ""]
     scheme: Callable[["Scene", State, Array], Step] = static()
@@ -268,14 +270,37 @@ def moving_stage(scene: Scene, state: State, velocity: Dofs, acceleration: Dofs)
         origin=state.q - velocity,
         velocity=velocity - acceleration,
         fluid_velocity=fluid_velocity(scene, state.q, state.time),
+        motor_origin=state.motor_angle - state.motor_rate,
     )
 
 
 def motor_rotation(scene: Scene, state: State, length: Array) -> Float[Array, " k"]:
-    """Angle (rad) that the motors turn in the next `length` (s)."""
+    """Angle (rad) that the motors turn in the next `length` (s), or are expected to."""
     if scene.motor is None:
         return jnp.zeros_like(state.motor_angle)
-    return scene.motor.rotation(state.time, state.time + length)
+    return scene.motor.expected_turn(state, length)
+
+
+def acting_terms(scene: Scene) -> tuple[Term, ...]:
+    """The terms of a scene, and its motors if what they do depends on the load."""
+    return (*scene.terms, scene.motor) if isinstance(scene.motor, Term) else scene.terms
+
+
+def motor_angle(
+    scene: Scene, state: State, stage: Stage, prediction: Prediction, q: Dofs
+) -> Float[Array, " k"]:
+    """rad, of the motors at the end of a stage that has been solved for.
+
+    Args:
+        scene: whose motors.
+        state: at the start of the step.
+        stage: that has been solved for.
+        prediction: of the step.
+        q: (d,) m and rad, its solution.
+    """
+    if isinstance(scene.motor, TorqueMotor):
+        return scene.motor.angle(scene.rod, state, stage, prediction, q)
+    return stage.motor_angle
 
 
 def solve(
@@ -303,7 +328,7 @@ def solve(
         ValueError: a term answers with one that the scene's solver does not take.
     """
     topology = scene.rod.topology
-    parts = contributions(scene.terms, scene.rod, state, stage, prediction)
+    parts = contributions(acting_terms(scene), scene.rod, state, stage, prediction)
     mobilities = [c for c in parts if isinstance(c, Mobility)]
     potential = assemble([c for c in parts if not isinstance(c, Mobility)])
     if potential.guards:
@@ -383,14 +408,16 @@ def finish_step(
     q: Dofs,
     velocity: Dofs,
     acceleration: Dofs,
-    turn: Float[Array, " k"],
+    motor_angle: Float[Array, " k"],
+    motor_rate: Float[Array, " k"],
 ) -> State:
     """The state after a step from `state` to `q`, with what is known of its end."""
-    new = transport_frames(scene.rod, replace(state, motor_angle=state.motor_angle + turn), q)
+    new = transport_frames(scene.rod, replace(state, motor_angle=motor_angle), q)
     return replace(
         new,
         velocity=velocity,
         acceleration=acceleration,
+        motor_rate=motor_rate,
         time=state.time + length,
         history=with_step(state, length, q),
     )

@@ -17,13 +17,11 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jaxtyping import Array
 
 from ..core.programs import stored
-from ..integrate.motor import Motor
 from ..integrate.provenance import changed
 from ..integrate.step import Scene
 from ..io.files import atomic_path, make_room
@@ -35,7 +33,9 @@ from ..scenes.extensions import unit_of
 from ..scenes.file import SceneFile
 from ..terms.contact.repulsion import Contact
 from ..terms.fluid.head import HeadDrag
+from ..terms.motor import TorqueMotor
 from . import bundling
+from .mechanics import motor_angles, motor_rates
 
 HDF5_OVERHEAD, HDF5_HEADERS = 1.05, 1 << 17
 """How much larger a file is than its numbers, and its bytes besides them."""
@@ -131,21 +131,25 @@ def _variable(dims: str, values: Any, units: str, long_name: str) -> tuple[Any, 
 
 
 def _motor(scene: Scene, states: State) -> dict[str, tuple[Any, ...]]:
-    """What the motors were told to do: exact, as it is a function of time alone."""
-    motor = scene.motor
-    if motor is None:
+    """How the motors have turned: as they were told, or as far as their torque went."""
+    if scene.motor is None:
         return {}
-    angle, rate = _motion_of_motor(motor, states.time)
-    return {
+    angle, rate, torque = _motion_of_motor(scene, states)
+    variables = {
         "motor_angle": _variable("time motor", angle, "rad", "angle that the motor has turned"),
         "motor_rate": _variable("time motor", rate, "rad/s", "rate of the motor"),
     }
+    if torque is not None:
+        what = "torque of the motor on its flagellum, against the head"
+        variables["motor_torque"] = _variable("time motor", torque, "N m", what)
+    return variables
 
 
 @stored
-def _motion_of_motor(motor: Motor, time: Array) -> tuple[Array, Array]:
-    angle = jax.vmap(motor.rotation, (None, 0))(jnp.zeros(()), time)
-    return angle, motor.rate_at(time)
+def _motion_of_motor(scene: Scene, states: State) -> tuple[Array, Array, Array | None]:
+    angle, rate = motor_angles(scene, states), motor_rates(scene, states)
+    motor = scene.motor
+    return angle, rate, motor.torque(angle, rate) if isinstance(motor, TorqueMotor) else None
 
 
 def _head(topology: Topology, states: State) -> dict[str, tuple[Any, ...]]:

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..core.pytree import pytree, replace, static
-from ..integrate.step import Scene, motor_rotation, moving_stage
+from ..integrate.motor import Motor
+from ..integrate.step import Scene, acting_terms, motor_rotation, moving_stage
 from ..rods.kinematics import positions, tangents
 from ..rods.rod import State
 from ..rods.vectors import cross
@@ -61,11 +62,37 @@ def motor_torques(scene: Scene, states: State) -> Float[Array, "t k"]:
 
     def at_one_time(state: State) -> Float[Array, " k"]:
         if topology.driven_edges:
-            balance = imbalance(scene, state.q, state.velocity, state.acceleration)
+            stage = moving_stage(scene, state, state.velocity, state.acceleration)
+            parts = _parts(scene, scene.terms, state, stage)
+            balance = -sum((_force(part, state) for part in parts), jnp.zeros_like(state.q))
             return balance[topology.edge_dofs(topology.driven_edges)]
         return jax.grad(stored)(state.motor_angle, state)
 
     return jax.vmap(at_one_time)(states)
+
+
+def motor_rates(scene: Scene, states: State) -> Float[Array, "t k"]:
+    """rad/s, of every motor.
+
+    Args:
+        scene: whose motors.
+        states: with a leading axis of time.
+    """
+    if isinstance(scene.motor, Motor):
+        return scene.motor.rate_at(states.time)
+    return states.motor_rate
+
+
+def motor_angles(scene: Scene, states: State) -> Float[Array, "t k"]:
+    """rad, that every motor has turned since the start of the run, whole turns counted.
+
+    Args:
+        scene: whose motors.
+        states: with a leading axis of time.
+    """
+    if isinstance(scene.motor, Motor):
+        return jax.vmap(scene.motor.rotation, (None, 0))(jnp.zeros(()), states.time)
+    return states.motor_angle + 2 * jnp.pi * states.motor_turns
 
 
 def potential(scene: Scene, state: State, length: float | Array) -> Potential:
@@ -84,7 +111,8 @@ def potential(scene: Scene, state: State, length: float | Array) -> Potential:
     """
     length = jnp.asarray(length, float)
     angle = state.motor_angle + motor_rotation(scene, state, length)
-    parts = _parts(scene, scene.terms, state, Stage(length, state.time + length, angle))
+    stage = Stage(length, state.time + length, angle, motor_origin=state.motor_angle)
+    parts = _parts(scene, acting_terms(scene), state, stage)
     found = [part for part in parts if isinstance(part, Contribution)]
     if len(found) < len(parts):
         raise ValueError(

@@ -106,9 +106,9 @@ class History:
 class State:
     """Where a rod is, how it moves, and how it has moved: all that a step needs to know.
 
-    Angles are kept within half a turn: whole turns are counted in `turns` and taken out of
-    `theta`, `reference_twist` and `motor_angle` together, so that no digits are lost however
-    long the motor runs.
+    Angles are kept within half a turn: whole turns are counted in `turns` and `motor_turns`, and
+    taken out of `theta`, `reference_twist` and `motor_angle` together, so that no digits are lost
+    however long the motor runs.
 
     Attributes:
         q: (d,) node positions (m), then edge angles (rad).
@@ -117,6 +117,8 @@ class State:
         reference_director: (e, 3) first reference director of each edge.
         reference_twist: (b,) rad, twist of the reference frames across each hinge.
         motor_angle: (k,) rad, angle that each motor has turned.
+        motor_rate: (k,) rad/s.
+        motor_turns: (k,) whole turns taken out of the angles of the motors.
         turns: (e,) whole turns taken out of the edge angles.
         time: s.
         history: how it has moved.
@@ -128,6 +130,8 @@ class State:
     reference_director: Float[Array, "e 3"]
     reference_twist: Float[Array, " b"]
     motor_angle: Float[Array, " k"]
+    motor_rate: Float[Array, " k"]
+    motor_turns: Float[Array, " k"]
     turns: Float[Array, " e"]
     time: Float[Array, ""]
     history: History
@@ -163,13 +167,16 @@ def at_rest(topology: Topology, nodes: Float[Array, "n 3"]) -> tuple[Rod, State]
         natural_twist=m_ref,
     )
     q = jnp.concatenate([nodes.ravel(), jnp.zeros(topology.n_edges)])
+    n_motors = len(topology.motors) + len(topology.driven_edges)
     state = State(
         q=q,
         velocity=jnp.zeros_like(q),
         acceleration=jnp.zeros_like(q),
         reference_director=director,
         reference_twist=m_ref,
-        motor_angle=jnp.zeros(len(topology.motors) + len(topology.driven_edges)),
+        motor_angle=jnp.zeros(n_motors),
+        motor_rate=jnp.zeros(n_motors),
+        motor_turns=jnp.zeros(n_motors),
         turns=jnp.zeros(topology.n_edges),
         time=jnp.zeros(()),
         history=no_history(q),
@@ -225,5 +232,6 @@ def transport_frames(rod: Rod, state: State, q: Float[Array, " d"]) -> State:
         reference_director=director,
         reference_twist=twist,
         motor_angle=motor_angle,
+        motor_turns=state.motor_turns + motor_turns,
         turns=state.turns + turns,
     )

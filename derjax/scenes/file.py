@@ -39,7 +39,7 @@ from .ingredients.ingredient import Ingredient, flagella_in_words, of_each
 from .messages import checked
 from .motortable import RateTable
 from .parameters import EACH, completed, index_of, place_of
-from .plausibility import check_density, check_modulus, check_regularization
+from .plausibility import check_density, check_modulus, check_regularization, check_torque
 from .timing import TimeGrid, time_grid
 
 
@@ -94,6 +94,7 @@ class SceneFile(Table):
     @model_validator(mode="after")
     def _local(self) -> Self:
         robot, regularization = self.robot, self.regularization
+        self.motor.check_number(robot.count)
         check_regularization(regularization, robot.rod_radius)
         check_density(self.material.density, self.fluid.fluid_density)
         stokeslets = self.fluid.hydrodynamics == "rss"
@@ -115,11 +116,6 @@ class SceneFile(Table):
             )
         if self.motor.table is None or self.motor_table is not None:
             self.check_motion()
-        if len(self.motor.rates) not in (1, robot.count):
-            raise ValueError(
-                f"[motor] rpm: {len(self.motor.rates)} rates given for "
-                f"{flagella_in_words(robot.count)}"
-            )
         if self.solver.method == "blocks" and not self.in_blocks:
             raise ValueError(
                 "[solver] method = 'blocks': only for an implicit [time] scheme with [fluid] "
@@ -154,6 +150,12 @@ class SceneFile(Table):
             radius, viscosity = self.robot.rod_radius, self.fluid.viscosity
             for modulus, length in zip(self.moduli, self.robot.each("axial_length"), strict=True):
                 check_modulus(modulus, radius, length, viscosity, rate)
+        if self.motor.stall_torque is not None:
+            stiffness, poisson = 0.5 * np.pi * self.robot.rod_radius**4, self.material.poisson_ratio
+            torques = np.broadcast_to(self.motor.stall_torque, self.robot.count)
+            for torque, modulus, length in zip(torques, self.moduli, self.contours, strict=True):
+                shear = 0.5 * modulus / (1.0 + poisson)
+                check_torque(float(torque), torque * length / (shear * stiffness))
         try:
             _ = self.grid
         except ValueError as error:

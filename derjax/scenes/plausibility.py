@@ -21,6 +21,10 @@ MOST_BENDING = 1e6
 STIFFEST = 1.2e12
 """Young's modulus of diamond, Pa: no modulus that was meant is larger."""
 
+MOST_TWIST = 1e4
+"""rad, by which the stall torque of a motor twists its flagellum from end to end: beyond that it is
+in doubt. Those of flagellated bacteria twist theirs by a few, a strong motor a soft one by 1e3."""
+
 WATER = 1000.0
 """Density of the fluid that stands in for one without density, kg/m^3."""
 
@@ -127,4 +131,22 @@ def check_modulus(
         raise ValueError(
             f"[material] youngs_modulus = {modulus:g}: moduli are in pascals; "
             f"did you mean {modulus * MEGA:.6g}?"
+        )
+
+
+def check_torque(torque: float, twist: float) -> None:
+    """Refuses a stall torque (N m) that is in mN m.
+
+    Args:
+        torque: N m.
+        twist: rad, of the flagellum from end to end under that torque.
+
+    Raises:
+        ValueError: the message begins with table and key.
+    """
+    if twist > MOST_TWIST:
+        raise ValueError(
+            f"[motor] stall_torque = {torque:g}: it would twist a flagellum by "
+            f"{twist / (2 * math.pi):.3g} turns; torques are in N m; "
+            f"did you mean {torque * MILLI:.6g}?"
         )

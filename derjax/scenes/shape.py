@@ -48,9 +48,13 @@ def geometry_of(scene: SceneFile, p: Mapping[str, Any]) -> RobotGeometry:
             nothing is compiled.
     """
     geometry = _joined(scene, p)
-    if not geometry.topology.motors:
-        return geometry
-    topology = replace(geometry.topology, motor_hinge=scene.motor.hinge)
+    topology = geometry.topology
+    if topology.motors:
+        topology = replace(topology, motor_hinge=scene.motor.hinge)
+    if scene.motor.stall_torque is not None:  # what such motors turn is not held
+        turned = topology.edge_dofs(topology.driven_edges).tolist()
+        held = tuple(d for d in topology.fixed_dofs if d not in turned)
+        topology = replace(topology, fixed_dofs=held)
     return geometry._replace(topology=topology)
 
 

@@ -33,9 +33,17 @@ def rotated_about_x(azimuth: Array | float, nodes: Nodes) -> Nodes:
     return xp.stack([x, c * y - s * z, s * y + c * z], axis=1)
 
 
-def distance_from_axis(n_flagella: int, separation: Array) -> Array:
-    """How far (m) from their common axis flagella lie whose neighbours are `separation` apart."""
-    return separation / (2.0 * np.sin(np.pi / n_flagella)) if n_flagella > 1 else 0.0 * separation
+def places_around_axis(n_flagella: int, separation: Array) -> Float[Array, "k 3"]:
+    """Where (m) the axes of flagella lie around the x axis, neighbours `separation` apart.
+
+    Flagella are set there without being turned, so that a phase is the same direction in space for
+    each of them.
+    """
+    if n_flagella == 1:
+        return separation * np.zeros((1, 3))
+    radius = separation / (2.0 * np.sin(np.pi / n_flagella))
+    azimuth = 2.0 * np.pi * np.arange(n_flagella) / n_flagella
+    return radius * np.stack([0.0 * azimuth, np.cos(azimuth), np.sin(azimuth)], axis=1)
 
 
 def on_shaft(filament: Nodes, edge: Array, backwards: int) -> Nodes:

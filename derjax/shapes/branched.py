@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 from itertools import pairwise
 
-import numpy as np
 from jaxtyping import Array
 
 from ..rods.topology import Head, Topology
-from .body import Nodes, RobotGeometry, distance_from_axis, on_shaft, rotated_about_x
+from .body import Nodes, RobotGeometry, on_shaft, places_around_axis
 from .numbers import library_of
 
 
@@ -16,23 +15,20 @@ def branched(filaments: Sequence[Nodes], edge: Array, separation: Array) -> Robo
 
     The head is an edge along x. From its second node arms lead outwards, to links that are
     parallel to x and end at the motors. Neighbouring flagella are `separation` (m) apart, and
-    equal ones are each other's images under turns about the axis. A single flagellum needs no
-    arm: then this is the robot `single_flagellum`, node for node.
+    equal ones are copies of each other, shifted. A single flagellum needs no arm: then this is the
+    robot `single_flagellum`, node for node.
     """
     n_flagella = len(filaments)
     if n_flagella == 0:
         raise ValueError("a robot needs at least one flagellum")
-    radius = distance_from_axis(n_flagella, separation)
+    places = places_around_axis(n_flagella, separation)
     hub = on_shaft(filaments[0], edge, backwards=2)[:2]
     nodes, edges, paths = [hub], [(0, 1)], []
     hinges, stiff, motors = [], [], []
     arms = int(n_flagella > 1)
     size = 2
-    for k, filament in enumerate(filaments):
-        branch = on_shaft(filament, edge, backwards=arms)
-        branch = rotated_about_x(
-            2.0 * np.pi * k / n_flagella, branch + radius * np.array([0.0, 1.0, 0.0])
-        )
+    for filament, place in zip(filaments, places, strict=True):
+        branch = on_shaft(filament, edge, backwards=arms) + place
         first_edge, first_hinge = len(edges), len(hinges)
         path = [1, *range(size, size + len(branch))]
         edges += pairwise(path)

@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 from itertools import pairwise
 
-import numpy as np
 from jaxtyping import Array
 
 from ..rods.topology import Topology
-from .body import Nodes, RobotGeometry, distance_from_axis, on_shaft, rotated_about_x
+from .body import Nodes, RobotGeometry, on_shaft, places_around_axis
 from .numbers import library_of
 
 
@@ -21,19 +20,14 @@ def clamped(
     `tips` the other end is held as well, and does not turn: there one more edge follows, in line
     with the last one of the filament, which is clamped.
     """
-    n_flagella = len(filaments)
-    radius = distance_from_axis(n_flagella, separation)
+    places = places_around_axis(len(filaments), separation)
     nodes, edges, hinges, paths, driven_edges, ends = [], [], [], [], [], []
     size = 0
-    for k, filament in enumerate(filaments):
+    for filament, place in zip(filaments, places, strict=True):
         branch = on_shaft(filament, edge, backwards=0)
         if tips:
             branch = library_of(branch).concatenate([branch, 2.0 * branch[-1:] - branch[-2:-1]])
-        nodes.append(
-            rotated_about_x(
-                2.0 * np.pi * k / n_flagella, branch + radius * np.array([0.0, 1.0, 0.0])
-            )
-        )
+        nodes.append(branch + place)
         first = len(edges)
         path = range(size, size + len(branch))
         edges += pairwise(path)

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ..rods.topology import Head, chain
-from .body import Nodes, RobotGeometry, on_shaft, rotated_about_x
+from .body import Nodes, RobotGeometry, on_shaft
 from .numbers import library_of
 
 
@@ -12,13 +12,12 @@ def two_flagella(filaments: tuple[Nodes, Nodes], edge: Array, separation: Array)
     """Tip, flagellum, motor, three head nodes, motor, flagellum, tip, on one rod.
 
     The flagella lie parallel to x, at y = -+ separation / 2 (m). The head is a bar across
-    their axes; a link of length `edge` (m) leads from each of its ends to a motor. The second
-    flagellum is the first one's image under half a turn about x, if their filaments agree.
+    their axes; a link of length `edge` (m) leads from each of its ends to a motor. If their
+    filaments agree, the second flagellum is a copy of the first, shifted.
     """
     first, second = (on_shaft(filament, edge, backwards=1) for filament in filaments)
     offset = np.array([0.0, 0.5, 0.0]) * separation
-    first = rotated_about_x(np.pi, first + offset)
-    second = second + offset
+    first, second = first - offset, second + offset
     xp = library_of(first, second, edge)
     middle = xp.stack([-edge, 0.0 * edge, 0.0 * edge])[None]
     nodes = xp.concatenate([first[::-1], middle, second])

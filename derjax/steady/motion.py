@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from ..core.errors import InputError
 from ..core.pytree import pytree, replace, static
+from ..integrate.motor import Motor
 from ..integrate.schemes.contact_corrected import contact_corrected_euler
 from ..integrate.step import Scene, moving_stage
 from ..rods.kinematics import positions, tangents
@@ -121,6 +122,28 @@ def _check_forces(scene: Scene) -> None:
         )
 
 
+def prescribed(scene: Scene) -> Motor:
+    """The motors of a scene, which turn at constant rates.
+
+    Raises:
+        InputError: there are none, their rates change in time, or they depend on the load.
+    """
+    motor = scene.motor
+    if motor is None:
+        raise InputError("there is no motor")
+    if not isinstance(motor, Motor):
+        raise InputError(
+            "[motor] stall_torque: the rate of such a motor depends on the load; steady states and "
+            "orbits need constant rates (rpm). Simulate it in time."
+        )
+    if not motor.is_constant:
+        raise InputError(
+            "the rate of the motor changes in time ([motor] table or ripple): steady states and "
+            "orbits need constant rates"
+        )
+    return motor
+
+
 def symmetry_of(scene: Scene) -> Symmetry:
     """How the shape of a scene may move.
 
@@ -136,8 +159,7 @@ def symmetry_of(scene: Scene) -> Symmetry:
             f"{count} motors turn: a steady shape needs one; flagella of several motors pass each "
             "other in every turn (derjax.orbit finds motions that repeat themselves)"
         )
-    if scene.motor.time.shape[0] != 1:
-        raise InputError("the rate of the motor changes in time: a steady shape needs one rate")
+    prescribed(scene)
     still = np.zeros(topology.n_edges)
     if topology.driven_edges:
         (base,) = topology.driven_edges

@@ -24,6 +24,7 @@ from ..core.errors import InputError
 from ..core.status import SolverError, Status
 from ..integrate.step import Scene, enlarge
 from ..rods.rod import State
+from .motion import prescribed
 from .turn import Turn, TurnDerivative, by_parameter, one_turn, rates_along, states_of_turn
 
 SLOWEST = 6
@@ -218,9 +219,9 @@ def period_of(scene: Scene) -> float:
     Raises:
         InputError: they stand still, their rates change, or that would take too many turns.
     """
-    motor = scene.motor
-    if motor is None or motor.time.shape[0] != 1 or not np.any(motor.rate):
-        raise InputError("an orbit needs motors that turn at constant rates")
+    motor = prescribed(scene)
+    if not np.any(motor.rate):
+        raise InputError("an orbit needs motors that turn at constant rates: they stand still")
     rates = np.abs(np.asarray(motor.rate[0]))
     rates = rates[rates > 0.0]
     turns = [Fraction(float(r / rates.min())).limit_denominator(SLOWEST) for r in rates]

@@ -22,6 +22,7 @@ from .motion import (
     gauge,
     held_still,
     moving_imbalance,
+    prescribed,
     rates,
     rotating_acceleration,
     state_at,
@@ -206,7 +207,7 @@ class Equations:
         """rad/s, of the motor; 0 where none turns."""
         if self.scene.motor is None:
             return jnp.zeros(())
-        return part * self.scene.motor.rate[0, 0]
+        return part * prescribed(self.scene).rate[0, 0]
 
     def residual(self, z: Array, part: Array | float = 1.0) -> Array:
         """What should vanish, dimensionless: forces in the solver's units, and the gauge."""

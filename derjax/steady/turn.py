@@ -20,6 +20,7 @@ from ..rods.head import head_angle
 from ..rods.kinematics import angles, positions, tangents
 from ..rods.rod import State, moved, no_history, transport_frames
 from ..rods.vectors import signed_angle
+from .motion import prescribed
 
 
 @pytree
@@ -182,7 +183,7 @@ def turn_with(
 
 def _fastest(scene: Scene) -> Array:
     """rad/s, of the motors."""
-    return jnp.zeros(()) if scene.motor is None else jnp.max(jnp.abs(scene.motor.rate))
+    return jnp.max(jnp.abs(prescribed(scene).rate))
 
 
 class TurnDerivative:

@@ -27,11 +27,13 @@ class Stage:
     Attributes:
         length: s.
         time: s, at its end: when loads that depend on time act.
-        motor_angle: (k,) rad, of the motors at its end.
+        motor_angle: (k,) rad, of the motors at its end, or about that if it is not known before.
         origin: (d,) m and rad; None for that of the state.
         velocity: (d,) m/s and rad/s; None for that of the state.
         fluid_velocity: (d,) m/s and rad/s, of the fluid where nodes and edges are; None for a
             fluid at rest.
+        motor_origin: (k,) rad, from which the rates of motors are measured; None for where they
+            stand in the state.
     """
 
     length: Float[Array, ""]
@@ -40,6 +42,7 @@ class Stage:
     origin: Float[Array, " d"] | None = None
     velocity: Float[Array, " d"] | None = None
     fluid_velocity: Float[Array, " d"] | None = None
+    motor_origin: Float[Array, " k"] | None = None
 
     def origin_from(self, state: State) -> Float[Array, " d"]:
         """Where velocities are measured from (m, rad), in a step that starts at `state`."""
@@ -106,6 +109,7 @@ class Role(enum.Enum):
     DRAG = enum.auto()
     FRICTION = enum.auto()
     INERTIA = enum.auto()
+    DRIVE = enum.auto()
     CORRECTION = enum.auto()
 
 

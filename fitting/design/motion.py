@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from derjax import HeadDrag, InputError, Run, Scene, State, Steady, positions
 from derjax.core.pytree import pytree, static
-from derjax.results.mechanics import motor_torques
+from derjax.results.mechanics import motor_rates, motor_torques
 from derjax.rods.head import head_angle, head_position
 from derjax.steady.motion import imbalance
 
@@ -163,10 +163,7 @@ class RunMotion:
 
     @property
     def rates(self) -> Float[Array, "t k"]:
-        motor = self.scene.motor
-        if motor is None:
-            return jnp.zeros((len(self.part.time), 0))
-        return motor.rate_at(self.part.time)
+        return motor_rates(self.scene, self.part)
 
     @property
     def thrust(self) -> Float[Array, ""]:

@@ -149,7 +149,7 @@ TOUCHING = dj.SceneFile.from_dict(
             "edge_length": 0.015,
             "separation": 8e-3,
             "axial_length": 0.06,
-            "phase": [0.0, np.pi - 0.4],
+            "phase": [np.pi, np.pi - 0.4],
         },
         "fluid": {"hydrodynamics": "rft"},
         "motor": {"rpm": [60.0, 50.0]},

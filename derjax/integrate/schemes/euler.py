@@ -10,6 +10,7 @@ from ..step import (
     Step,
     finish_step,
     fluid_velocity,
+    motor_angle,
     motor_rotation,
     predict,
     predicted_displacement,
@@ -26,11 +27,17 @@ def euler(scene: Scene, state: State, length: Array) -> Step:
     turn = motor_rotation(scene, state, length)
     prediction = predict(scene, state, 0.5 * length, length)
     flow = fluid_velocity(scene, prediction.configuration, state.time + 0.5 * length)
-    stage = Stage(length, state.time + length, state.motor_angle + turn, fluid_velocity=flow)
+    end = state.motor_angle + turn
+    stage = Stage(
+        length, state.time + length, end, fluid_velocity=flow, motor_origin=state.motor_angle
+    )
     q, info = solve(
         scene, prediction, state, stage, turn, predicted_displacement(scene, state, length)
     )
     velocity = (q - state.q) / length
     acceleration = (velocity - state.velocity) / length
     error = 0.5 * length**2 * mean_acceleration(state, length, q)
-    return Step(finish_step(scene, state, length, q, velocity, acceleration, turn), info, error)
+    angle = motor_angle(scene, state, stage, prediction, q)
+    rate = (angle - state.motor_angle) / length
+    new = finish_step(scene, state, length, q, velocity, acceleration, angle, rate)
+    return Step(new, info, error)

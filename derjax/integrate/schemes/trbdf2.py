@@ -35,6 +35,7 @@ from ..step import (
     Step,
     finish_step,
     fluid_velocity,
+    motor_angle,
     motor_rotation,
     predict,
     predicted_displacement,
@@ -65,12 +66,16 @@ class _End:
         velocity: (d,) m/s and rad/s.
         acceleration: (d,) m/s^2 and rad/s^2.
         surprise: (d,) m and rad, by how much it is off from where it was expected.
+        motor_angle: (k,) rad.
+        motor_rate: (k,) rad/s.
     """
 
     q: Dofs
     velocity: Dofs
     acceleration: Dofs
     surprise: Dofs
+    motor_angle: Array
+    motor_rate: Array
 
 
 def trbdf2(scene: Scene, state: State, length: Array) -> Step:
@@ -86,6 +91,7 @@ def trbdf2(scene: Scene, state: State, length: Array) -> Step:
         end, known, found = coefficients * length
         origin = state.q + known * state.velocity + found * before.velocity
         pace = state.velocity + known * state.acceleration + found * before.acceleration
+        shafts = state.motor_angle + known * state.motor_rate + found * before.motor_rate
         turn = motor_rotation(scene, state, end)
         expected = predicted_displacement(scene, state, end)
         # An unexpected velocity was felt over `part` before, and is over `found` as well by now.
@@ -93,19 +99,25 @@ def trbdf2(scene: Scene, state: State, length: Array) -> Step:
         prediction = predict(scene, state, end, end)
         flow = fluid_velocity(scene, prediction.configuration, state.time + end)
         angle = state.motor_angle + turn
-        solved = Stage(part, state.time + end, angle, origin, pace, flow)
+        solved = Stage(part, state.time + end, angle, origin, pace, flow, shafts)
         q, how = solve(scene, prediction, state, solved, turn, move)
+        angle = motor_angle(scene, state, solved, prediction, q)
         velocity = (q - origin) / part
         acceleration = (velocity - pace) / part
-        return (_End(q, velocity, acceleration, q - state.q - expected), worse(info, how)), None
+        surprise, rate = q - state.q - expected, (angle - shafts) / part
+        return (_End(q, velocity, acceleration, surprise, angle, rate), worse(info, how)), None
 
     # One loop rather than the same program twice: half as long to compile.
     still = jnp.zeros_like(state.q)
     count = jnp.zeros((), jnp.int32)
-    start = (_End(state.q, still, still, still), NewtonInfo(count, count, count, jnp.zeros(())))
+    shafts = state.motor_angle, jnp.zeros_like(state.motor_rate)
+    start = (
+        _End(state.q, still, still, still, *shafts),
+        NewtonInfo(count, count, count, jnp.zeros(())),
+    )
     stages = jnp.where(has_moved(state), LATER, FIRST)
     (last, info), _ = lax.scan(stage, start, stages)
     error = ERROR * length**3 * jerk(state, length, last.q)
-    turn = motor_rotation(scene, state, length)
-    end = finish_step(scene, state, length, last.q, last.velocity, last.acceleration, turn)
+    shafts = last.motor_angle, last.motor_rate
+    end = finish_step(scene, state, length, last.q, last.velocity, last.acceleration, *shafts)
     return Step(end, info, error)

@@ -44,10 +44,11 @@ class RobotTable(Ingredient):
     """[robot] Shape of the robot, in metres.
 
     `n_flagella` is given for the kinds "branched" and "clamped". Flagella lie around the
-    robot's axis, neighbours `separation` apart; `handedness` and `phase` (rad, about the axis
-    of each), `helix_radius`, `pitch` and `axial_length` are one for all, or a list with one for
-    each. The shape "arc" is pre-bent by the
-    angle `bend` (rad).
+    robot's axis, neighbours `separation` apart. `handedness`, `phase`, `helix_radius`, `pitch`
+    and `axial_length` are one for all, or a list with one for each. The phase (rad) of a flagellum
+    is the direction in which it leaves its axis, from y towards z: the same direction in space for
+    all, so that flagella of one phase are copies of each other. The shape "arc" is pre-bent by
+    the angle `bend` (rad), in the direction of its phase.
     """
 
     PARAMETERS: ClassVar[Mapping[str, Parameter]] = {
