@@ -43,8 +43,8 @@ BLUE, RED = "#1f5a82", "#c1503a"
 # of 12.5 mm, so that a run takes seconds, and contact is stiffer than by default, as long edges
 # that cross need it.
 #
-# `phase` is the angle by which each flagellum is turned about its axis at the start. Both are
-# left-handed and both motors turn alike. Friction is Coulomb's. A coefficient of 0 would leave it
+# `phase` is the direction in which each flagellum leaves its axis at the start, the same in space
+# for both. Both are left-handed and both motors turn alike. Friction is Coulomb's. A coefficient of 0 would leave it
 # out of the program altogether; "without" is a coefficient of one in a million here, so that all
 # four runs share one compiled program.
 
@@ -185,12 +185,12 @@ with pd.option_context("display.float_format", "{:.3f}".format):
     display(table)
 
 # %% [markdown]
-# In phase, the robot is symmetric under half a turn about its axis, and stays so: the head keeps
-# to the axis to round-off. In antiphase it is not, and the head wanders a little.
+# In antiphase, the robot is symmetric under half a turn about its axis, and stays so: the head keeps
+# to the axis to round-off. In phase it is not, and the head wanders a little.
 
 # %%
-assert table["aside (mm)"]["in phase"] < 1e-3 < table["aside (mm)"]["antiphase"]
-assert table["linking number"]["antiphase, friction"] > table["linking number"]["antiphase"] + 0.05
+assert table["aside (mm)"]["antiphase"] < 1e-3 < table["aside (mm)"]["in phase"]
+assert table["linking number"]["in phase, friction"] > table["linking number"]["in phase"] + 0.05
 assert table["linking number"].between(0.4, 1.0).all()
 
 # %% [markdown]

@@ -12,7 +12,7 @@ from ...solve.blocks import Layout
 from ...solve.newton import NewtonSettings
 from .ingredient import Ingredient, SceneFile, Setting
 
-LARGE = 150
+LARGE = 220
 """Nodes from which on a robot is solved for in blocks, unless the scene file says otherwise."""
 
 BLOCK = 16

@@ -1,0 +1,1 @@
+"""The claims of the paper on two flagella, one by one: `python -m benchmarks.paper`."""

@@ -1,0 +1,221 @@
+"""The claims of the paper on two flagella, one by one, each with the runs that judge it.
+
+    python -m benchmarks.paper [-o docs/figures] [--runs runs/paper] [--quick] [--only STUDY ...]
+
+Lim, Yadunandan & Jawed, Soft Matter 19, 2254, 2023. Studies are
+
+- pairs: two flagella in phase and in antiphase, pitch over radius 5, 7, 9 at 30 to 70 rpm, and at
+  50 rpm in phase with one thing changed (regularization, separation, friction, hinge, motors);
+- single: steady states of one flagellum, omega_bar of 10 to 400;
+- unbundling: motors of a little different rates, by mismatch, friction, separation, kind of motor;
+- synchrony: two motors of limited torque that start out of phase, by stiffness;
+- wrapping: filaments on fixed motors, at a viscous-elastic number 20 times that of the robot.
+
+Every run is kept in a file of its own and not made again, so that the study can be stopped and goes
+on. `--quick` has fewer and shorter runs and takes minutes. Writes paper.md and paper_*.png.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+
+from ..buckling import omega_bar, robot
+from ..command import command_line
+from ..tables import markdown
+from . import figures, studies
+from .claims import cycle, judged
+from .runs import results_of, table_of
+
+PAPER_CYCLE = 60.0
+"""s: 10 s of bundling and 50 s of unbundling, with motors that are good to 1 rpm."""
+
+
+def _save(figure: plt.Figure, output: Path, name: str) -> None:
+    figure.savefig(output / f"paper_{name}.png", dpi=150)
+    plt.close(figure)
+
+
+def pairs(length: studies.Length, runs: Path, output: Path) -> str:
+    results = results_of(studies.pairs(length), runs)
+    table = table_of(results)
+    changed = table_of(results_of(studies.conditions(length), runs))
+    _save(figures.pairs(table), output, "pairs")
+    _save(figures.tracks(results), output, "tracks")
+    formats = {
+        "pitch/r": "g",
+        "rpm": "g",
+        "v_x_m_per_s": ".4g",
+        "head_rate_rad_per_s": ".3f",
+        "propulsive_force_per_flagellum_N": ".3g",
+        "efficiency": ".3f",
+        "bundle_fraction": ".1%",
+        "linking_number": ".3f",
+        "contact_count": ".1f",
+        "status": "",
+    }
+    claims = judged(table, changed)
+    table.to_csv(output / "paper_pairs.csv", index=False, float_format="%.6g")
+    text = "## Claims\n\nIn phase and in antiphase: the rates (rpm) at which it holds.\n\n"
+    text += markdown(claims, dict.fromkeys(claims.columns, ""))
+    text += "\n## Two flagella\n\n" + markdown(table, {"phase": "", **formats})
+    text += "\n![Two flagella](paper_pairs.png)\n\n![Tracks](paper_tracks.png)\n"
+    if len(changed):
+        text += "\nIn phase at 50 rpm, with one thing changed:\n\n"
+        text += markdown(changed, {"if": "", **formats})
+    return text
+
+
+def single(length: studies.Length, runs: Path, output: Path) -> str:
+    one = studies.single(30 if length is studies.WHOLE else 12)
+    two = table_of(results_of(studies.pairs(length), runs))
+    unit = omega_bar(robot(5), 1.0)
+    _save(figures.single(one, two, unit), output, "single")
+    one.to_csv(output / "paper_single.csv", index=False, float_format="%.6g")
+    at = one.iloc[(one["omega_bar"] - 80.0).abs().groupby(one["pitch/r"]).idxmin()]
+    text = "## One flagellum, steady\n\n"
+    formats = {
+        "pitch/r": "g",
+        "omega_bar": ".1f",
+        "v_m_per_s": ".4g",
+        "head_rate_rad_per_s": ".3f",
+        "propulsive_force_N": ".3g",
+        "efficiency": ".3f",
+        "shortening": ".4f",
+    }
+    return text + markdown(at, formats) + "\n![One flagellum](paper_single.png)\n"
+
+
+def unbundling(length: studies.Length, runs: Path, output: Path) -> str:
+    results = results_of(studies.unbundling(length), runs)
+    rows = []
+    for name, result in results.items():
+        period, duty, amplitude = cycle(result.series)
+        mismatch = result.numbers["mismatch_rpm"]
+        rows.append(
+            {
+                "name": name,
+                **{k: result.numbers[k] for k in ("motor", "mismatch_rpm", "friction")},
+                "separation_mm": result.numbers["separation_mm"],
+                "one_turn_s": 60.0 / mismatch if mismatch else np.nan,
+                "period_s": period if mismatch else np.nan,
+                "bundled_s": duty * period if mismatch else np.nan,
+                "amplitude": amplitude,
+                "mean": result.numbers["bundle_fraction"],
+                "slipped_turns": float(result.series["phase_difference"].iloc[-1]) / (2 * np.pi),
+                "status": result.numbers["status"],
+            }
+        )
+    cycles = pd.DataFrame(rows)
+    _save(figures.unbundling(results, cycles), output, "unbundling")
+    cycles.to_csv(output / "paper_unbundling.csv", index=False, float_format="%.6g")
+    formats = {
+        "motor": "",
+        "mismatch_rpm": "g",
+        "friction": "g",
+        "separation_mm": "g",
+        "one_turn_s": ".0f",
+        "period_s": ".1f",
+        "bundled_s": ".1f",
+        "amplitude": ".1%",
+        "mean": ".1%",
+        "slipped_turns": ".2f",
+        "status": "",
+    }
+    text = f"## Unbundling\n\nThe paper's cycle: 10 s bundled of {PAPER_CYCLE:g} s.\n\n"
+    return text + markdown(cycles, formats) + "\n![Unbundling](paper_unbundling.png)\n"
+
+
+def synchrony(length: studies.Length, runs: Path, output: Path) -> str:
+    results = results_of(studies.synchrony(length), runs)
+    rows = []
+    for result in results.values():
+        phase = result.series["phase_difference"].to_numpy()
+        time = result.series["time"].to_numpy()
+        begin = np.searchsorted(time, 10.0)
+        rows.append(
+            {
+                "phase_at_start": result.numbers["phase_at_start"],
+                "youngs_modulus": result.numbers["youngs_modulus"],
+                "phase_at_10_s": phase[begin],
+                "phase_at_end": phase[-1],
+                "rate": -(abs(phase[-1]) - abs(phase[begin])) / (time[-1] - time[begin]),
+                "status": result.numbers["status"],
+            }
+        )
+    rates = pd.DataFrame(rows)
+    _save(figures.synchrony(results, rates), output, "synchrony")
+    rates.to_csv(output / "paper_synchrony.csv", index=False, float_format="%.6g")
+    formats = {
+        "phase_at_start": "g",
+        "youngs_modulus": ".3g",
+        "phase_at_10_s": ".3f",
+        "phase_at_end": ".3f",
+        "rate": ".3g",
+        "status": "",
+    }
+    text = "## Synchronisation\n\nRate: of the approach to phase 0, rad/s.\n\n"
+    return text + markdown(rates, formats) + "\n![Synchronisation](paper_synchrony.png)\n"
+
+
+def wrapping(length: studies.Length, runs: Path, output: Path) -> str:
+    results = results_of(studies.wrapping(length), runs)
+    _save(figures.wrapping(results), output, "wrapping")
+    rows = [
+        {
+            "flagella": result.numbers["flagella"],
+            "simulated_s": result.numbers["simulated_s"],
+            "tips_at_start_mm": 1e3 * result.series["tip_to_tip"].iloc[0],
+            "tips_at_end_mm": 1e3 * result.series["tip_to_tip"].iloc[-1],
+            "linking_number": result.series["linking_number"].iloc[-1],
+            "status": result.numbers["status"],
+        }
+        for result in results.values()
+    ]
+    formats = {
+        "flagella": "d",
+        "simulated_s": ".3g",
+        "tips_at_start_mm": ".3g",
+        "tips_at_end_mm": ".3g",
+        "linking_number": ".2f",
+        "status": "",
+    }
+    text = "## Wrapping\n\n" + markdown(pd.DataFrame(rows), formats)
+    return text + "\n![Distance of tips](paper_wrapping.png)\n"
+
+
+STUDIES: dict[str, Callable[[studies.Length, Path, Path], str]] = {
+    "pairs": pairs,
+    "single": single,
+    "unbundling": unbundling,
+    "synchrony": synchrony,
+    "wrapping": wrapping,
+}
+
+
+def main() -> None:
+    parser = command_line(__doc__)
+    parser.add_argument("--runs", type=Path, default=Path("runs/paper"), help="where runs are kept")
+    parser.add_argument("--quick", action="store_true", help="fewer and shorter runs")
+    parser.add_argument("--only", nargs="+", choices=STUDIES, help="studies to make")
+    arguments = parser.parse_args()
+    length = studies.QUICK if arguments.quick else studies.WHOLE
+    runs = arguments.runs / ("quick" if arguments.quick else "whole")
+    parts = runs / "parts"
+    parts.mkdir(parents=True, exist_ok=True)
+    for name, study in STUDIES.items():
+        if arguments.only is None or name in arguments.only:
+            text = study(length, runs, arguments.output)
+            (parts / f"{name}.md").write_text(text, encoding="utf-8")
+            print(text, flush=True)
+    there = [parts / f"{name}.md" for name in STUDIES if (parts / f"{name}.md").exists()]
+    command = "python -m benchmarks.paper" + " --quick" * arguments.quick
+    page = f"# The paper, claim by claim\n\n`{command}`\n\n"
+    page += "\n".join(path.read_text(encoding="utf-8") for path in there)
+    (arguments.output / "paper.md").write_text(page, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
