@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from derjax import SceneFile, build, load_scene
+from derjax import SceneFile, build
 from derjax.core.errors import InputError
 from derjax.io.fields import TIME_UNITS
 from derjax.scenes.load import read_toml
@@ -122,7 +122,7 @@ def load_dataset(path: str | Path) -> Dataset:
     """
     path = Path(path)
     file = check(DatasetFile, read_toml(path), path)
-    scene = load_scene(path.parent / file.scene)
+    scene = scene_with_rates(path.parent / file.scene)
     if scene.motor_table is not None and any(run.motor_rpm is not None for run in file.runs):
         raise InputError(
             f"{path}: the scene's motor follows a table; leave motor_rpm out, "
@@ -156,7 +156,7 @@ def _scene_of(path: Path, name: str | None, scene: SceneFile) -> SceneFile | Non
     """The scene that a run names; None if it names none, or that of the dataset."""
     if name is None:
         return None
-    other = load_scene(path.parent / name)
+    other = scene_with_rates(path.parent / name)
     return None if other == scene else other
 
 

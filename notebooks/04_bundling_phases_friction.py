@@ -44,9 +44,9 @@ BLUE, RED = "#1f5a82", "#c1503a"
 # that cross need it.
 #
 # `phase` is the direction in which each flagellum leaves its axis at the start, the same in space
-# for both. Both are left-handed and both motors turn alike. Friction is Coulomb's. A coefficient of 0 would leave it
-# out of the program altogether; "without" is a coefficient of one in a million here, so that all
-# four runs share one compiled program.
+# for both. Both are left-handed and both motors turn alike. Friction is Coulomb's. A coefficient
+# of 0 would leave it out of the program altogether; "without" is a coefficient of one in a million
+# here, so that all four runs share one compiled program.
 
 # %%
 DIAMETER = 3.2e-3  # m, of the rods
@@ -185,8 +185,8 @@ with pd.option_context("display.float_format", "{:.3f}".format):
     display(table)
 
 # %% [markdown]
-# In antiphase, the robot is symmetric under half a turn about its axis, and stays so: the head keeps
-# to the axis to round-off. In phase it is not, and the head wanders a little.
+# In antiphase, the robot is symmetric under half a turn about its axis, and stays so: the head
+# keeps to the axis to round-off. In phase it is not, and the head wanders a little.
 
 # %%
 assert table["aside (mm)"]["antiphase"] < 1e-3 < table["aside (mm)"]["in phase"]

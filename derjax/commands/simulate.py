@@ -13,6 +13,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", type=Path, metavar="SCENE.toml", help="what to simulate")
     add_output(parser, resume="continue the unfinished run in DIR")
     add_quiet(parser)
+    parser.add_argument(
+        "--nondimensional",
+        action="store_true",
+        help="add the numbers without units to the summary: omega_bar and so on",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -26,5 +31,6 @@ def run(args: argparse.Namespace) -> int:
         overwrite=args.overwrite,
         figures=not args.no_figures,
         quiet=args.quiet,
+        nondimensional=args.nondimensional,
     )
     return simulate(options)

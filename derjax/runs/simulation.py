@@ -20,6 +20,7 @@ from ..io.output import Output, output_directory
 from ..io.textfile import read_text
 from ..scenes.build import build
 from ..scenes.file import SceneFile
+from ..scenes.groups import nondimensional
 from ..scenes.load import load_scene
 from .progress import Progress, interruptible
 from .recording import (
@@ -53,6 +54,7 @@ class Options:
         overwrite: replace what is there.
         figures: draw them.
         quiet: print errors only.
+        nondimensional: add the numbers without units to the summary.
     """
 
     scene: Path
@@ -61,11 +63,13 @@ class Options:
     overwrite: bool = False
     figures: bool = True
     quiet: bool = False
+    nondimensional: bool = False
 
     def command(self, *extra: str) -> str:
         """The command line of these options, without those on existing results."""
         words = ["derjax", "simulate", str(self.scene), "-o", str(self.output), *extra]
         words += ["--no-figures"] * (not self.figures) + ["--quiet"] * self.quiet
+        words += ["--nondimensional"] * self.nondimensional
         return shlex.join(words)
 
 
@@ -270,6 +274,8 @@ def _write_results(
         "scene": str(options.scene),
         "parameters": {name: np.asarray(value) for name, value in scene.parameters.items()},
     }
+    if options.nondimensional:
+        summary["nondimensional"] = nondimensional(file, summary)
     output.check([TRAJECTORY, SUMMARY, *(FIGURES if options.figures else ())])
     with output.replacing(TRAJECTORY) as temporary:
         trajectory.write(dataset, temporary)
@@ -297,4 +303,7 @@ def _digest(summary: dict[str, Any], directory: Path) -> str:
             f"speed {1e3 * summary['v_x_m_per_s']:.4g} mm/s along x, "
             f"head {summary['head_rate_rad_per_s']:.4g} rad/s"
         )
+    if "nondimensional" in summary:
+        pairs = (f"{name} {value:.4g}" for name, value in summary["nondimensional"].items())
+        lines.append("without units: " + ", ".join(pairs))
     return "\n".join([*lines, f"results in {directory}"])

@@ -80,9 +80,10 @@ def points_of(vary: str | None, file: SceneFile) -> tuple[str, list[float]]:
         InputError: the text cannot be understood, or the scene has no such parameter.
     """
     if vary is None:
-        if file.motor_table is not None or np.ndim(file.parameters["rpm"]) > 0:
+        rpm = file.parameters.get("rpm")
+        if file.motor_table is not None or rpm is None or np.ndim(rpm) > 0:
             raise InputError("[motor]: steady states need one motor with one constant rate")
-        return "rpm", [float(file.parameters["rpm"])]
+        return "rpm", [float(rpm)]
     name, _, text = vary.partition("=")
     hint = "should be like rpm=10:300:30 (first, last, step) or pitch=0.03,0.04"
     try:

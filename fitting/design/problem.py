@@ -131,7 +131,12 @@ class Problem:
         if twice := [name for name in others if name in self.variables.names]:
             raise InputError(f"{twice[0]}: is varied, and uncertain as well: it can be one of them")
         if self.held is not None:
-            rpm = self.scene.parameters["rpm"]
+            rpm = self.scene.parameters.get("rpm")
+            if rpm is None:
+                raise InputError(
+                    "[motor] stall_torque: a design at a given torque or power finds the rate "
+                    "itself; give the scene an rpm to start from"
+                )
             if "rpm" in self.variables.names or "rpm" in others:
                 raise InputError(
                     f"rpm: follows from the {self.held.quantity.name} that the motor is held at, "

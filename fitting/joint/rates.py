@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from derjax import InputError, SceneFile, load_scene
+from derjax import InputError, SceneFile
 from derjax.io.fields import TIME_UNITS
 from derjax.io.tables import read_table
 
 from ..datasetfile import ANGLE_UNITS, LENGTH_UNITS
+from ..scenes import scene_with_rates
 from .file import Nuisances, RatesFile
 
 KEYS = ("motor_rpm", "v", "v_std", "head_rate", "head_rate_std")
@@ -66,7 +67,7 @@ def load_rates(path: Path, tables: Sequence[RatesFile], scene: SceneFile) -> tup
 def _load(path: Path, entry: int, table: RatesFile, scene: SceneFile) -> Rates:
     where = f"{path}: [rates] (entry {entry})"
     if table.scene is not None:
-        scene = load_scene(path.parent / table.scene)
+        scene = scene_with_rates(path.parent / table.scene)
     if scene.motor_table is not None:
         raise InputError(f"{where}: the motor of the scene follows a table; speeds need one rate")
     columns = _inline(where, table) if table.file is None else _of_file(path.parent, where, table)

@@ -46,4 +46,5 @@ class FrictionTable(Ingredient):
         if self.slip_speed is not None:
             return jnp.array(self.slip_speed)
         p = setting.numbers
-        return SLIP * (2 * jnp.pi / 60) * jnp.max(jnp.abs(p["rpm"])) * p["rod_radius"]
+        rpm = p["free_rpm"] if "free_rpm" in p else p["rpm"]
+        return SLIP * (2 * jnp.pi / 60) * jnp.max(jnp.abs(rpm)) * p["rod_radius"]
