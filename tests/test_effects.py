@@ -84,6 +84,7 @@ OTHERS: dict[str, tuple[Any, ...]] = {
     "head.C_t": (4.0,),
     "head.C_r": (0.3,),
     "head.rotation": ("full", "spin"),
+    "head.arm": ("published",),
     "head.stiffness": (50.0,),
     "head.mass": (0.2,),
     "motor.hinge": ("published",),

@@ -33,7 +33,7 @@ from derjax.shapes import (
     single_flagellum,
     two_flagella,
 )
-from derjax.terms import Bend, Twist
+from derjax.terms import Bend, HeadDrag, Twist
 
 RADIUS, PITCH, LENGTH = 6.4e-3, 44.5e-3, 95.4e-3
 SEPARATION = 28e-3
@@ -647,3 +647,15 @@ def test_complaints_about_tables_for_several_motors(tmp_path, table, expected):
     said = complaint(tmp_path, TABLE, table)
     assert said.startswith(f"[motor] table: {tmp_path / 'motor.csv'}: {expected}")
     assert "\n" not in said
+
+
+def test_the_published_arm_is_part_of_the_rotational_drag():
+    """A force at half the separation, for a torque over the head's radius: its square."""
+    robot = {"kind": "two_flagella", "edge_length": 30e-3}
+    exact, published = (
+        build(SceneFile.model_validate({"robot": robot, "head": {"arm": arm}}))[HeadDrag]
+        for arm in ("exact", "published")
+    )
+    np.testing.assert_allclose(published.tilt / exact.tilt, (0.5 * 28e-3 / 31e-3) ** 2)
+    np.testing.assert_array_equal(published.spin, published.tilt)
+    np.testing.assert_array_equal(published.translation, exact.translation)

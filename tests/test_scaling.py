@@ -22,6 +22,7 @@ SCENES: dict[str, dict[str, Any]] = {
     "contact": {
         "robot": {
             "kind": "two_flagella",
+            "phase": [np.pi, 0.0],
             "separation": 0.012,
             "axial_length": 0.0636,
             "pitch": 0.0318,

@@ -85,6 +85,7 @@ def conditions(length: Length) -> list[Case]:
     for separation in SEPARATIONS:
         varied[f"separation {1e3 * separation:g} mm"] = {"robot": {"separation": separation}}
     varied["friction 0.3"] = {"friction": {"coefficient": 0.3}}
+    varied["published arm"] = {"head": {"arm": "published"}}
     varied["published hinge"] = {"motor": {"hinge": "published"}}
     varied["motors of limited torque"] = {}
     cases = []

@@ -25,6 +25,9 @@ class HeadTable(Ingredient):
 
     `rotation` says which rotations of the head meet drag: its spin about its own axis only,
     as in the paper's model of one flagellum, or all ("full", the default for several flagella).
+    `arm` = "published" has the rotational drag of kind "two_flagella" as the first author's code
+    has it: a force on an end of the bar, as if that were a head radius away from the middle, so
+    that the head feels (separation / 2 head_radius)^2 of C_r, 0.20 at the default lengths.
     `stiffness` is that of the arms of a head with several flagella, relative to the rod's.
     """
 
@@ -40,8 +43,11 @@ class HeadTable(Ingredient):
         ),
         Idle(("mass",), is_weightless, because("without inertia and [gravity]")),
         Idle(
-            ("C_t", "C_r", "rotation"), lambda s: s.head.drag == "none", has_value("head", "drag")
+            ("C_t", "C_r", "rotation", "arm"),
+            lambda s: s.head.drag == "none",
+            has_value("head", "drag"),
         ),
+        Idle(("arm",), lambda s: s.robot.kind != "two_flagella", has_value("robot", "kind")),
         Idle(
             ("stiffness",),
             lambda s: s.robot.count == 1,
@@ -53,6 +59,7 @@ class HeadTable(Ingredient):
     C_t: NonNegative = 4.8
     C_r: NonNegative = 0.36
     rotation: Literal["spin", "full"] | None = None
+    arm: Literal["exact", "published"] = "exact"
     stiffness: Positive = 100.0
     mass: Positive | None = None
 
@@ -63,5 +70,7 @@ class HeadTable(Ingredient):
             return []
         viscosity, radius = p["viscosity"], p["head_radius"]
         spin = 8 * jnp.pi * viscosity * radius**3 * p["C_r"]
+        if self.arm == "published" and setting.file.robot.kind == "two_flagella":
+            spin = spin * (0.5 * p["separation"] / radius) ** 2
         tilt = spin if setting.file.head_rotation == "full" else jnp.zeros(())
         return [HeadDrag(6 * jnp.pi * viscosity * radius * p["C_t"], spin, tilt, radius)]
