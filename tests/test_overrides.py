@@ -31,6 +31,10 @@ SCENES: dict[str, dict[str, Any]] = {
         "friction": {},
         "gravity": {},
     },
+    "limited": {
+        "robot": {"edge_length": 0.03},
+        "motor": {"stall_torque": 1e-3, "free_rpm": 90.0, "ripple": 0.1},
+    },
 }
 OTHERS = {"C_t": 2.0, "C_r": 0.1, "poisson_ratio": 0.4, "density": 1300.0, "axial_length": 0.1}
 """Values of parameters; of others nine tenths of what they are."""
