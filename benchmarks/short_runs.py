@@ -4,7 +4,7 @@
                                     [--points 1000]
 
 Two robots at their defaults: that with one flagellum, from rest, and that with two (pitch / radius
-= 5), which touch in every run: it starts from a bundle that 10 s at 60 rpm have made. Motors of 40
+= 5, antiphase), which touch in every run: it starts from a bundle that 10 s at 60 rpm have made. Motors of 40
 to 80 rpm and other drag prefactors, 0.2 s for each run. The runs of a batch go by turns
 (`derjax.batch.march_many`), first in one process that may use one processor, then the same
 programs on two, batch by batch. Written are
@@ -51,7 +51,7 @@ SIZES, ROUNDS, POINTS = (1, 4, 16, 64, 256, 1024), 1, 1000
 END, BUNDLED = 0.2, 10.0
 ROBOTS = {
     "one flagellum": {"robot": {"pitch": 44.5e-3}},
-    "two touching": {"robot": {"kind": "two_flagella", "pitch": 31.8e-3}},
+    "two touching": {"robot": {"kind": "two_flagella", "pitch": 31.8e-3, "phase": [np.pi, 0.0]}},
 }
 FORMATS = {
     "robot": "",

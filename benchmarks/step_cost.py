@@ -2,7 +2,7 @@
 
     python -m benchmarks.step_cost [-o docs/figures] [--turns 6]
 
-Robots of 30 nodes (one flagellum, 60 rpm, default scheme), 59 (two, in contact), 138 and 207 (two
+Robots of 30 nodes (one flagellum, 60 rpm, default scheme), 59 (two in antiphase, in contact), 138 and 207 (two
 and three filaments on fixed motors, case A of `benchmarks.many_flagella`) in one dense matrix, and
 690 (ten of them) in blocks, each after so many turns of its motors. A step solves one system of
 equations for each of its stages (one for implicit Euler, two for TR-BDF2); before the first
@@ -55,7 +55,7 @@ PARTS = ("guess", "drag", "contact", "matrix", "solve", "residual", "frames")
 
 def scenes() -> dict[str, SceneFile]:
     """The robots, by what they are."""
-    two = {"kind": "two_flagella", "pitch": 31.8e-3}
+    two = {"kind": "two_flagella", "pitch": 31.8e-3, "phase": [np.pi, 0.0]}
     found = {
         "one flagellum": SceneFile.from_dict({"time": {"end": 20.0}}),
         "two in contact": SceneFile.from_dict({"robot": two, "time": {"end": 20.0}}),

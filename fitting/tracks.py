@@ -22,6 +22,7 @@ from .joint.file import KnownPrior, NoiseFile, Nuisances, Prior, Shared
 from .joint.rates import Rates, load_rates
 from .observe import ANGLE, seen
 from .reading import Track, read_track
+from .scenes import scene_with_rates
 
 TYPICAL = 0.02
 """How far robots swim, as a part of the way of a screw with their pitch."""

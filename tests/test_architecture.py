@@ -1,16 +1,23 @@
 """How the code is put together: who may import whom, and what compiled code must not contain."""
 
 import ast
+import builtins
+import dis
+import importlib
 import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from types import CodeType
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
 DERJAX = ROOT / "derjax"
 MODULES = sorted(DERJAX.rglob("*.py"))
+SOURCES = sorted(
+    path for name in ("derjax", "fitting", "benchmarks") for path in (ROOT / name).rglob("*.py")
+)
 
 FLOORS = (
     ("core",),
@@ -150,6 +157,35 @@ def test_every_term_has_a_file_and_is_made_by_a_table(name, path):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
     }
     assert name in calls
+
+
+def globals_used(code: CodeType) -> Iterator[str]:
+    """Names that a function, or one within it, looks up in its module."""
+    for step in dis.get_instructions(code):
+        if step.opname == "LOAD_GLOBAL":
+            yield step.argval
+    for inner in code.co_consts:
+        if isinstance(inner, CodeType):
+            yield from globals_used(inner)
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=name_of)
+def test_names_are_defined(path):
+    """Checkers of style do not ask: they take shapes in annotations for names."""
+    code = compile(path.read_text(encoding="utf-8"), name_of(path), "exec")
+    used = {
+        name
+        for inner in code.co_consts
+        if isinstance(inner, CodeType)
+        for name in globals_used(inner)
+    }
+    if path.stem == "__main__":
+        known = set(code.co_names)
+    else:
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        module = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        known = set(vars(importlib.import_module(module)))
+    assert not used - known - set(dir(builtins))
 
 
 def test_the_version_is_the_same_everywhere():
