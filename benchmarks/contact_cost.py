@@ -2,9 +2,9 @@
 
     python -m benchmarks.contact_cost [-o docs/figures]
 
-Takes the two-flagella robot (pitch / radius = 5, antiphase, 60 rpm, steps of 5 ms) at the start and after
-10 s, when the flagella are bundled, and times the same number of steps from either state with and
-without contact, alternately, on the processor time of one process. Writes contact_cost.csv and
+Takes the two-flagella robot (pitch / radius = 5, antiphase, 60 rpm, steps of 5 ms) at the start and
+after 10 s, when the flagella are bundled, and times the same number of steps from either state with
+and without contact, alternately, on the processor time of one process. Writes contact_cost.csv and
 contact_cost.md.
 """
 
