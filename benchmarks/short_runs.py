@@ -5,8 +5,8 @@
 
 Two robots at their defaults: that with one flagellum, from rest, and that with two (pitch / radius
 = 5, antiphase), which touch in every run: it starts from a bundle that 10 s at 60 rpm have made.
-Motors of 40 to 80 rpm and other drag prefactors, 0.2 s for each run. The runs of a batch go by turns
-(`derjax.batch.march_many`), first in one process that may use one processor, then the same
+Motors of 40 to 80 rpm and other drag prefactors, 0.2 s for each run. The runs of a batch go by
+turns (`derjax.batch.march_many`), first in one process that may use one processor, then the same
 programs on two, batch by batch. Written are
 
 - runs_per_s: by wall time;

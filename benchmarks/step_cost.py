@@ -3,10 +3,11 @@
     python -m benchmarks.step_cost [-o docs/figures] [--turns 6]
 
 Robots of 30 nodes (one flagellum, 60 rpm, default scheme), 59 (two in antiphase, in contact), 138
-and 207 (two and three filaments on fixed motors, case A of `benchmarks.many_flagella`) in one dense matrix, and
-690 (ten of them) in blocks, each after so many turns of its motors. A step solves one system of
-equations for each of its stages (one for implicit Euler, two for TR-BDF2); before the first
-iteration it is told where the rod is expected and makes matrices of drag and lists of contacts.
+and 207 (two and three filaments on fixed motors, case A of `benchmarks.many_flagella`) in one dense
+matrix, and 690 (ten of them) in blocks, each after so many turns of its motors. A step solves one
+system of equations for each of its stages (one for implicit Euler, two for TR-BDF2); before the
+first iteration it is told where the rod is expected and makes matrices of drag and lists of
+contacts.
 
 - guess: where the rod is expected;
 - drag, contact: what their terms make before a step, `Term.prepare`;

@@ -5,10 +5,10 @@
 
 Runs the robot with one flagellum (pitch / radius = 7, 60 rpm, 20 s) and that with two (pitch /
 radius = 5, antiphase, 60 rpm, 10 s, with contact) with every scheme, in steps of several lengths
-and in steps that adapt at several tolerances, with Stokeslet segments (RSS) and local drag (RFT), on several
-meshes, and with explicit drag in steps of 0.1 ms. The speed v_x and the head rate are those that
-`derjax simulate` writes, over the second half of a run; the nodes of the helices are compared in
-every frame (0.1 s), in units of the helix radius R.
+and in steps that adapt at several tolerances, with Stokeslet segments (RSS) and local drag (RFT),
+on several meshes, and with explicit drag in steps of 0.1 ms. The speed v_x and the head rate are
+those that `derjax simulate` writes, over the second half of a run; the nodes of the helices are
+compared in every frame (0.1 s), in units of the helix radius R.
 
 The error in time is against TR-BDF2 in steps of 1/1280 s on the same mesh; the whole error is
 against that on the finest mesh. The cost is processor time for a simulated second, without
