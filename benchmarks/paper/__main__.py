@@ -1,6 +1,7 @@
 """The claims of the paper on two flagella, one by one, each with the runs that judge it.
 
-    python -m benchmarks.paper [-o docs/figures] [--runs runs/paper] [--quick] [--only STUDY ...]
+    python -m benchmarks.paper [-o docs/figures] [--runs runs/paper] [--quick] [--made]
+                              [--only STUDY ...]
 
 Lim, Yadunandan & Jawed, Soft Matter 19, 2254, 2023. Studies are
 
@@ -12,7 +13,7 @@ Lim, Yadunandan & Jawed, Soft Matter 19, 2254, 2023. Studies are
 - wrapping: filaments on fixed motors, at a viscous-elastic number 20 times that of the robot.
 
 Every run is kept in a file of its own and not made again, so that the study can be stopped and goes
-on. `--quick` has fewer and shorter runs and takes minutes. Writes paper.md and paper_*.png.
+on; `--made` judges by those that are there. `--quick` has fewer and shorter runs and takes minutes. Writes paper.md and paper_*.png.
 """
 
 from collections.abc import Callable
@@ -29,6 +30,9 @@ from . import figures, studies
 from .claims import cycle, judged
 from .runs import results_of, table_of
 
+Finder = Callable[[list[Case]], dict[str, Result]]
+"""Finds the results of runs, and makes those that are missing."""
+
 PAPER_CYCLE = 60.0
 """s: 10 s of bundling and 50 s of unbundling, with motors that are good to 1 rpm."""
 
@@ -38,10 +42,10 @@ def _save(figure: plt.Figure, output: Path, name: str) -> None:
     plt.close(figure)
 
 
-def pairs(length: studies.Length, runs: Path, output: Path) -> str:
-    results = results_of(studies.pairs(length), runs)
+def pairs(length: studies.Length, found: Finder, output: Path) -> str:
+    results = found(studies.pairs(length))
     table = table_of(results)
-    changed = table_of(results_of(studies.conditions(length), runs))
+    changed = table_of(found(studies.conditions(length)))
     _save(figures.pairs(table), output, "pairs")
     _save(figures.tracks(results), output, "tracks")
     formats = {
@@ -68,9 +72,9 @@ def pairs(length: studies.Length, runs: Path, output: Path) -> str:
     return text
 
 
-def single(length: studies.Length, runs: Path, output: Path) -> str:
+def single(length: studies.Length, found: Finder, output: Path) -> str:
     one = studies.single(30 if length is studies.WHOLE else 12)
-    two = table_of(results_of(studies.pairs(length), runs))
+    two = table_of(found(studies.pairs(length)))
     unit = omega_bar(robot(5), 1.0)
     _save(figures.single(one, two, unit), output, "single")
     one.to_csv(output / "paper_single.csv", index=False, float_format="%.6g")
@@ -88,8 +92,8 @@ def single(length: studies.Length, runs: Path, output: Path) -> str:
     return text + markdown(at, formats) + "\n![One flagellum](paper_single.png)\n"
 
 
-def unbundling(length: studies.Length, runs: Path, output: Path) -> str:
-    results = results_of(studies.unbundling(length), runs)
+def unbundling(length: studies.Length, found: Finder, output: Path) -> str:
+    results = found(studies.unbundling(length))
     rows = []
     for name, result in results.items():
         period, duty, amplitude = cycle(result.series)
@@ -128,8 +132,8 @@ def unbundling(length: studies.Length, runs: Path, output: Path) -> str:
     return text + markdown(cycles, formats) + "\n![Unbundling](paper_unbundling.png)\n"
 
 
-def synchrony(length: studies.Length, runs: Path, output: Path) -> str:
-    results = results_of(studies.synchrony(length), runs)
+def synchrony(length: studies.Length, found: Finder, output: Path) -> str:
+    results = found(studies.synchrony(length))
     rows = []
     for result in results.values():
         phase = result.series["phase_difference"].to_numpy()
@@ -160,8 +164,8 @@ def synchrony(length: studies.Length, runs: Path, output: Path) -> str:
     return text + markdown(rates, formats) + "\n![Synchronisation](paper_synchrony.png)\n"
 
 
-def wrapping(length: studies.Length, runs: Path, output: Path) -> str:
-    results = results_of(studies.wrapping(length), runs)
+def wrapping(length: studies.Length, found: Finder, output: Path) -> str:
+    results = found(studies.wrapping(length))
     _save(figures.wrapping(results), output, "wrapping")
     rows = [
         {
@@ -186,7 +190,7 @@ def wrapping(length: studies.Length, runs: Path, output: Path) -> str:
     return text + "\n![Distance of tips](paper_wrapping.png)\n"
 
 
-STUDIES: dict[str, Callable[[studies.Length, Path, Path], str]] = {
+STUDIES: dict[str, Callable[[studies.Length, Finder, Path], str]] = {
     "pairs": pairs,
     "single": single,
     "unbundling": unbundling,
@@ -200,14 +204,19 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("runs/paper"), help="where runs are kept")
     parser.add_argument("--quick", action="store_true", help="fewer and shorter runs")
     parser.add_argument("--only", nargs="+", choices=STUDIES, help="studies to make")
+    parser.add_argument("--made", action="store_true", help="judge by the runs that are there")
     arguments = parser.parse_args()
     length = studies.QUICK if arguments.quick else studies.WHOLE
     runs = arguments.runs / ("quick" if arguments.quick else "whole")
+
+    def found(cases: list[Case]) -> dict[str, Result]:
+        return results_of(cases, runs, make=not arguments.made)
+
     parts = runs / "parts"
     parts.mkdir(parents=True, exist_ok=True)
     for name, study in STUDIES.items():
         if arguments.only is None or name in arguments.only:
-            text = study(length, runs, arguments.output)
+            text = study(length, found, arguments.output)
             (parts / f"{name}.md").write_text(text, encoding="utf-8")
             print(text, flush=True)
     there = [parts / f"{name}.md" for name in STUDIES if (parts / f"{name}.md").exists()]

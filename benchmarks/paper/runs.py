@@ -46,15 +46,20 @@ class Result(NamedTuple):
     series: pd.DataFrame
 
 
-def results_of(cases: Iterable[Case], directory: Path) -> dict[str, Result]:
+def results_of(cases: Iterable[Case], directory: Path, make: bool = True) -> dict[str, Result]:
     """The results of runs; those that are kept in a directory are not made again.
 
     A run that fails is kept as well: its status says why, and its series end there.
+
+    Args:
+        cases: the runs.
+        directory: where they are kept.
+        make: those that are missing; else they are left out.
     """
     cases = list(cases)
     directory.mkdir(parents=True, exist_ok=True)
     found = {case.name: _known(case, directory) for case in cases}
-    missing = [case for case in cases if found[case.name] is None]
+    missing = [case for case in cases if make and found[case.name] is None]
     with Progress(len(missing), "runs") as progress:
         for count, case in enumerate(missing):
             found[case.name] = _made(case, directory)

@@ -39,9 +39,9 @@ WHOLE = Length(
     end=60.0,
     rates=SWEPT_RPM,
     unbundling=300.0,
-    mismatches=(0.0, 0.3, 1.0, 2.0),
+    mismatches=(1.0, 0.3, 2.0, 0.0),
     frictions=(0.0, 0.3, 0.6),
-    separations=(28e-3, 20e-3, 14e-3),
+    separations=(14e-3, 28e-3, 20e-3),
     phases=(0.5, 1.5, 2.5, 3.1),
     moduli=(0.3e6, 0.6e6, 1.255e6, 2.5e6, 5e6, 20e6),
     synchrony=120.0,
@@ -104,8 +104,8 @@ def conditions(length: Length) -> list[Case]:
 def unbundling(length: Length) -> list[Case]:
     """Motors of a little different rates, pitch over radius 5, in phase at the start."""
     cases = []
-    choices = (("rate", "torque"), length.mismatches, length.frictions, length.separations)
-    for kind, mismatch, friction, separation in product(*choices):
+    choices = (length.mismatches, length.separations, length.frictions, ("rate", "torque"))
+    for mismatch, separation, friction, kind in product(*choices):
         fast = CHOSEN_RPM + mismatch
         motor: dict[str, Any] = {"rpm": [float(CHOSEN_RPM), fast]}
         if kind == "torque":
