@@ -13,7 +13,8 @@ Lim, Yadunandan & Jawed, Soft Matter 19, 2254, 2023. Studies are
 - wrapping: filaments on fixed motors, at a viscous-elastic number 20 times that of the robot.
 
 Every run is kept in a file of its own and not made again, so that the study can be stopped and goes
-on; `--made` judges by those that are there. `--quick` has fewer and shorter runs and takes minutes. Writes paper.md and paper_*.png.
+on; `--made` judges by those that are there. `--quick` has fewer and shorter runs and takes minutes.
+Writes paper.md and paper_*.png.
 """
 
 from collections.abc import Callable
@@ -28,7 +29,7 @@ from ..command import command_line
 from ..tables import markdown
 from . import figures, studies
 from .claims import cycle, judged
-from .runs import results_of, table_of
+from .runs import Case, Result, results_of, table_of
 
 Finder = Callable[[list[Case]], dict[str, Result]]
 """Finds the results of runs, and makes those that are missing."""
