@@ -3,10 +3,11 @@
     python -m benchmarks.orbits [-o docs/figures] [--turns 60]
 
 The default robot with two flagella, in antiphase, at 60 rpm, pitch over radius 9, 7 and 5, in steps
-of 20 ms of implicit Euler, without inertia: the orbit that four turns from rest lead to, and a simulation of 60
-turns. What changes from one turn to the next, beside a rigid motion, goes as the largest Floquet
-multiplier of what is excited says. At 5 one is larger than one: the simulation leaves that orbit
-and ends in another one, which is found from its end. Times are processor time, once compiled.
+of 20 ms of implicit Euler, without inertia: the orbit that four turns from rest lead to, and a
+simulation of 60 turns. What changes from one turn to the next, beside a rigid motion, goes as the
+largest Floquet multiplier of what is excited says. At 5 one is larger than one: the simulation
+leaves that orbit and ends in another one, which is found from its end. Times are processor time,
+once compiled.
 Writes orbits.csv, .md and .png.
 """
 
