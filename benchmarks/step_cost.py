@@ -89,7 +89,7 @@ def developed(scene: Scene, end: float) -> State:
 def row_of(name: str, file: SceneFile, turns: float) -> dict[str, Any]:
     """Times (ms) of the parts of one robot's step."""
     scene = derjax.build(file)
-    frame = file.time.frame or file.grid.frame
+    frame = file.time.end / file.n_frames
     end = max(1, round(turns * 60.0 / file.fastest_rpm / frame)) * frame
     state = developed(scene, end)
     stats = new_stats()
