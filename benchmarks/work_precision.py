@@ -281,7 +281,7 @@ class Runs:
             self._robot = setting.program[:3]
             self._programs.clear()
             jax.clear_caches()
-        times = setting.file.time
+        times = setting.file
         steps, start = jnp.asarray(times.steps_per_frame), new_stats()
         for enlarged in range(6):
             program = (*setting.program, enlarged)

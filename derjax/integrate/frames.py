@@ -19,7 +19,7 @@ SEGMENTS, TRIES = 32, 32
 """Of steps that adapt, whose product is the most tries that there may be in one frame."""
 
 FULL = 0.1
-"""Of the first length: a step that is shorter is not given up for want of places for contacts."""
+"""Of the length to begin with: a first step that is longer may lack places for contacts."""
 
 
 @pytree
@@ -106,8 +106,11 @@ def _adaptive(scene: Scene, run: _Run, control: StepSizeController) -> _Run:
     factor = jnp.where(solved, control.factor(excess), AFTER_FAILURE)
     shorter = length * jnp.minimum(factor, 1.0)
     following = jnp.where(good & (factor >= 1.0), jnp.maximum(proposed, factor * length), shorter)
-    # The list of contacts is shorter for a shorter step, but only so much shorter.
-    full = (step.info.status == Status.CAPACITY) & (length < FULL * scene.step_length)
+    # The list of contacts is shorter for a shorter step, but where it is full for one no longer
+    # than the last, steps would become shorter and shorter: it needs more places.
+    last = lax.stop_gradient(run.state.history.lengths[0])
+    short = length <= jnp.where(last > 0.0, last, FULL * scene.step_length)
+    full = (step.info.status == Status.CAPACITY) & short
     hopeless = (following < control.shortest) | full | (step.info.status == Status.OVERLAP)
     reason = jnp.where(solved, Status.TOO_SHORT, step.info.status)
     status = jnp.where(good | ~hopeless, Status.OK, reason)

@@ -347,10 +347,14 @@ def solve(
         drag = _only_mobility(scene.layout, mobilities)
         q, info = _in_blocks(scene, scene.layout, potential, drag, guess)
     if potential.guards:
-        fault, before = (potential.status(lax.stop_gradient(x)) for x in (q, state.q))
+        fault = potential.status(lax.stop_gradient(q))
         status = jnp.where(info.status == Status.OK, fault, info.status)
-        overlap = (status != Status.OK) & (before == Status.PENETRATION)
-        status = jnp.where(overlap, Status.OVERLAP, status).astype(jnp.int32)
+
+        def blamed() -> Array:
+            before = potential.status(lax.stop_gradient(state.q))
+            return jnp.where(before == Status.PENETRATION, Status.OVERLAP, status)
+
+        status = lax.cond(status != Status.OK, blamed, lambda: status).astype(jnp.int32)
         info = replace(info, status=status)
     return q, info
 

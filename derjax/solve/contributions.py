@@ -223,6 +223,10 @@ class ContactPotential(LocalPotential, Protocol):
         """p, negative where nothing touches, and its derivatives (k,)."""
         ...
 
+    def may_meet(self, overlap: Array, data: Any) -> Array:
+        """Whether a pair is so close that it may touch a little later."""
+        ...
+
     def force(self, overlap: Array, data: Any) -> Array:
         """N, the derivative of the energy with respect to the overlap."""
         ...
@@ -258,12 +262,16 @@ class Contacts(Pairs):
         )
 
     def split(self, q: Dofs, most: int) -> tuple["Contacts", "Contacts"]:
-        """The closest pairs, up to some number, and a list of the same length without them."""
+        """The closest pairs, up to some number, and a list of the same length without them.
+
+        Pairs that are far from touching stay where they are.
+        """
         size = min(most, len(self.dofs))
-        _, chosen = lax.top_k(self.overlaps(q)[0], size)
+        overlaps, chosen = lax.top_k(self.overlaps(q)[0], size)
         data = jax.tree.map(lambda leaf: leaf[chosen], self.data)
-        near = replace(self, dofs=self.dofs[chosen], mask=self.mask[chosen], data=data)
-        return near, replace(self, mask=self.mask.at[chosen].set(False))
+        mask = self.mask[chosen] & jax.vmap(self.potential.may_meet)(overlaps, data)
+        near = replace(self, dofs=self.dofs[chosen], mask=mask, data=data)
+        return near, replace(self, mask=self.mask.at[chosen].set(self.mask[chosen] & ~mask))
 
     def forces(self, overlaps: Float[Array, " b"]) -> Float[Array, " b"]:
         """N."""

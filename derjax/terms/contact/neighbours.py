@@ -33,8 +33,8 @@ GROUP = 8
 TINY = 1e-12
 """m: rods whose centre lines meet have no plane between them."""
 
-CLOSE_GROUPS = 16
-"""Pairs of groups, per group, that are looked at for rods that overlap."""
+CLOSE_GROUPS = 24
+"""Pairs of groups, per group, that are looked at, or more where the list of contacts is longer."""
 
 
 def pairs_apart(topology: Topology, rest_length: np.ndarray, gap: float) -> Indices:
@@ -84,10 +84,10 @@ def _grouped(n_edges: int, pairs: Indices) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def _candidates(
-    topology: Topology, x: Float[Array, "n 3"], pairs: Indices, reach: Array, most: int | None
+    topology: Topology, x: Float[Array, "n 3"], pairs: Indices, reach: Array, most: int = 0
 ) -> tuple[Int[Array, "c 2"], Bool[Array, " c"], Bool[Array, ""]]:
     """Pairs of edges that hold all those closer than `reach` (m), which of them count, and
-    whether there were more than could be looked at: that is `most` pairs of groups."""
+    whether there were more pairs of groups than are looked at, `most` or more of them."""
     if len(pairs.array) <= MANY:
         return jnp.asarray(pairs.array), jnp.ones(len(pairs.array), bool), jnp.array(False)
     groups, couples, partners = _grouped(topology.n_edges, pairs)
@@ -100,7 +100,7 @@ def _candidates(
     first, second = couples.T
     apart = jnp.sqrt(jnp.sum((centre[first] - centre[second]) ** 2, axis=-1))
     near = apart < radius[first] + radius[second] + reach
-    size = min(CLOSE_GROUPS * len(groups) if most is None else most, len(couples))
+    size = min(max(most, CLOSE_GROUPS * len(groups)), len(couples))
     (chosen,) = jnp.nonzero(near, size=size, fill_value=0)
     looked_at = jnp.arange(size) < jnp.sum(near)
     one, other = (jnp.asarray(groups)[jnp.asarray(couples)[chosen, k]] for k in (0, 1))
@@ -122,7 +122,7 @@ def _nearest(
     topology: Topology, x: Float[Array, "n 3"], pairs: Indices, diameter: Array
 ) -> Float[Array, ""]:
     """The smallest distance (m) of two edges that can touch, if it is less than a diameter."""
-    edges, counts, _ = _candidates(topology, x, pairs, diameter, None)
+    edges, counts, _ = _candidates(topology, x, pairs, diameter)
     return jnp.min(jnp.where(counts, distance(x[_nodes_of(topology, edges)]), jnp.inf))
 
 

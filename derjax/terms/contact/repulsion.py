@@ -31,6 +31,9 @@ SOFTNESS = 0.05
 RAMP = 0.01
 """Overlap over which the repulsion sets in, in diameters."""
 
+MEETING = 0.25
+"""Gap of pairs that may touch within an iteration of Newton's method, in diameters."""
+
 
 @pytree
 class ContactLaw:
@@ -93,6 +96,9 @@ class ContactEnergy:
     def overlap(self, local: Float[Array, " 12"], data: ContactLaw) -> tuple[Array, Array]:
         at, d = meeting(local, data.diameter)
         return data.diameter - d, jnp.outer(weights(at), -at.gap / d).ravel()
+
+    def may_meet(self, overlap: Array, data: ContactLaw) -> Array:
+        return overlap > -MEETING * data.diameter
 
     def force(self, overlap: Array, data: ContactLaw) -> Array:
         return _force(overlap, data)
