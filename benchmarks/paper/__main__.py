@@ -69,7 +69,7 @@ def pairs(length: studies.Length, found: Finder, output: Path) -> str:
     text += "\n![Two flagella](paper_pairs.png)\n\n![Tracks](paper_tracks.png)\n"
     if len(changed):
         text += "\nIn phase at 50 rpm, with one thing changed:\n\n"
-        text += markdown(changed, {"if": "", **formats})
+        text += markdown(changed, {"if": "", **{k: v for k, v in formats.items() if k != "rpm"}})
     return text
 
 
