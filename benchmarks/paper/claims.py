@@ -53,9 +53,19 @@ CLAIMS = (
     ),
     Claim("head rate highest at 7", SPIN, _is_extreme(max, 7), ETA_LAW),
     Claim("speed lowest at 7", V, _is_extreme(min, 7), ETA_LAW),
-    Claim("force per flagellum highest at 5", FORCE, _is_extreme(max, 5), "needs eps < 0.55 mm"),
+    Claim(
+        "force per flagellum highest at 5",
+        FORCE,
+        _is_extreme(max, 5),
+        "rigid flagella do that with eps < 0.55 mm; soft ones do not",
+    ),
     Claim("force per flagellum lowest at 7", FORCE, _is_extreme(min, 7), "is the one on speed"),
-    Claim("efficiency highest at 7", ETA, _is_extreme(max, 7), "needs eps < 0.59 mm; " + ETA_LAW),
+    Claim(
+        "efficiency highest at 7",
+        ETA,
+        _is_extreme(max, 7),
+        "rigid flagella do that with eps < 0.59 mm; soft ones do not; " + ETA_LAW,
+    ),
     Claim("efficiency lowest at 5", ETA, _is_extreme(min, 5), "thrust is lost in a bundle"),
 )
 
