@@ -281,6 +281,7 @@ class Runs:
             self._robot = setting.program[:3]
             self._programs.clear()
             jax.clear_caches()
+        scene = replace(scene, source=None)  # settings share programs, and their files differ
         times = setting.file
         steps, start = jnp.asarray(times.steps_per_frame), new_stats()
         for enlarged in range(6):

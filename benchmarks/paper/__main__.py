@@ -133,20 +133,29 @@ def unbundling(length: studies.Length, found: Finder, output: Path) -> str:
     return text + markdown(cycles, formats) + "\n![Unbundling](paper_unbundling.png)\n"
 
 
+def approach(time: np.ndarray, phase: np.ndarray) -> float:
+    """1/s, at which a difference of phase decays, from 10 s on and while it is above 0.2 rad."""
+    size = np.abs(phase)
+    chosen = (time >= 10.0) & (np.cumsum(size < 0.2) == 0)
+    if chosen.sum() < 5:
+        return float("nan")
+    return -float(np.polyfit(time[chosen], np.log(size[chosen]), 1)[0])
+
+
 def synchrony(length: studies.Length, found: Finder, output: Path) -> str:
     results = found(studies.synchrony(length))
     rows = []
     for result in results.values():
         phase = result.series["phase_difference"].to_numpy()
         time = result.series["time"].to_numpy()
-        begin = np.searchsorted(time, 10.0)
+        begin = min(int(np.searchsorted(time, 10.0)), len(time) - 1)
         rows.append(
             {
                 "phase_at_start": result.numbers["phase_at_start"],
                 "youngs_modulus": result.numbers["youngs_modulus"],
                 "phase_at_10_s": phase[begin],
                 "phase_at_end": phase[-1],
-                "rate": -(abs(phase[-1]) - abs(phase[begin])) / (time[-1] - time[begin]),
+                "rate": approach(time, phase),
                 "status": result.numbers["status"],
             }
         )
@@ -161,7 +170,7 @@ def synchrony(length: studies.Length, found: Finder, output: Path) -> str:
         "rate": ".3g",
         "status": "",
     }
-    text = "## Synchronisation\n\nRate: of the approach to phase 0, rad/s.\n\n"
+    text = "## Synchronisation\n\nRate: at which the difference of phase decays, 1/s.\n\n"
     return text + markdown(rates, formats) + "\n![Synchronisation](paper_synchrony.png)\n"
 
 

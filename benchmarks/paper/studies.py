@@ -124,7 +124,7 @@ def unbundling(length: Length) -> list[Case]:
 def synchrony(length: Length) -> list[Case]:
     """Motors of limited torque that start out of phase, on flagella of some stiffness.
 
-    Far apart enough not to touch: what couples them is the fluid, and the head.
+    So far apart that they hardly touch: what couples them is the fluid, and the head.
     """
     return [
         Case(
@@ -137,7 +137,6 @@ def synchrony(length: Length) -> list[Case]:
                 robot={"phase": [0.0, phase], "separation": 40e-3},
                 material={"youngs_modulus": modulus},
                 motor={"stall_torque": 2e-4, "free_rpm": 200.0},
-                contact={"method": "none"},
             ),
         )
         for phase, modulus in product(length.phases, length.moduli)
