@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import derjax as dj
+from derjax.core.pytree import replace
 from derjax.integrate.motor import Motor
 from derjax.results.mechanics import motor_angles, motor_rates, motor_torques
 from derjax.rods.kinematics import angles
@@ -91,34 +92,37 @@ def works(scene, state):
 POWERS = jax.jit(jax.vmap(works, (None, 0)))
 
 
+RIPPLED = {"stall_torque": STALL, "free_rpm": 2.0 * FREE, "ripple": 0.3, "ripple_order": 3}
+
+
+def rippled(step):
+    """A run of a motor with ripple, of 20 steps of some length (s), all kept."""
+    time = {"end": 20 * step, "frame": step, "step": step, "scheme": "trbdf2"}
+    return run_of(motor=RIPPLED, scheme="trbdf2", time=time)
+
+
 def test_work_of_the_shaft_is_dissipated_or_stored():
     """And kinetic energy, at second order: 1/4 of the difference for half the step."""
     left = []
     for step in (0.02, 0.01):  # as many of them, so that programs are shared
-        file = scene_file(time={"end": 20 * step, "frame": step, "step": step, "scheme": "trbdf2"})
-        run = dj.rollout(dj.build(file), reverse_mode=False)
-        run.raise_if_failed()
+        run = rippled(step)
         shaft, drag, stored = POWERS(run.scene, run.states)
-        begin = round(0.1 / step)  # what was left of the start has gone
-        paid = np.trapezoid(shaft[begin:], dx=step)
-        spent = np.trapezoid(drag[begin:], dx=step) + stored[-1] - stored[begin]
+        part = slice(round(0.1 / step), round(0.2 / step) + 1)  # the start has died out
+        paid, kept = np.trapezoid(shaft[part], dx=step), stored[part]
+        spent = np.trapezoid(drag[part], dx=step) + kept[-1] - kept[0]
         left.append(abs(float(paid - spent)) / float(paid))
-    assert left[1] < 3e-4
+    assert left[1] < 3e-3
     assert 1.6 < np.log2(left[0] / left[1]) < 2.6, left
 
 
 def test_a_strong_motor_turns_at_its_rate():
-    """The slip is in proportion to load over stall torque; nothing else changes."""
-    prescribed = run_of(motor={"rpm": 60.0}, scheme="euler", time={"step": 0.01})
+    """It slips by its load over its stall torque."""
+    prescribed = run_of(motor={"rpm": 60.0})
     torque = float(motor_torques(prescribed.scene, prescribed.states)[-1, 0])
-    apart = []
     for strength in (100.0, 200.0):
-        motor = {"stall_torque": strength * torque, "free_rpm": 60.0}
-        run = run_of(motor=motor, scheme="euler", time={"step": 0.01})
+        run = run_of(motor={"stall_torque": strength * torque, "free_rpm": 60.0})
         rate = float(run.states.motor_rate[-1, 0])
-        np.testing.assert_allclose(1.0 - rate / (60.0 * TURN), 1.0 / strength, rtol=0.05)
-        apart.append(float(jnp.abs(run.states.q - prescribed.states.q).max()))
-    np.testing.assert_allclose(apart[0] / apart[1], 2.0, rtol=0.05)
+        np.testing.assert_allclose(1.0 - rate / (60.0 * TURN), 1.0 / strength, rtol=0.03)
 
 
 def test_backwards_is_the_mirror_image():
@@ -133,16 +137,16 @@ def test_backwards_is_the_mirror_image():
 
 
 def test_derivatives_in_both_modes():
-    names = ("stall_torque", "free_rpm", "youngs_modulus", "ripple")
+    """Of a step in which the motor starts."""
     motor = {"stall_torque": STALL, "free_rpm": FREE, "ripple": 0.2, "ripple_order": 3}
-    file = scene_file(motor=motor, time={"end": 0.1, "frame": 0.05, "step": 0.05})
-    scene = dj.build(file)
-    at = jnp.array([scene.number(name) for name in names])
+    scene = dj.build(scene_file(motor=motor, fluid={"hydrodynamics": "rft"}))
+    names = ("stall_torque", "free_rate", "ripple")
+    at = jnp.concatenate([getattr(scene.motor, name) for name in names])
 
     @jax.jit
     def end(values):
-        changed = scene.replace(**dict(zip(names, values, strict=True)))
-        state = dj.rollout(changed, end=0.1, frame=0.05).last
+        motor = replace(scene.motor, **{n: v[None] for n, v in zip(names, values, strict=True)})
+        state = scene.scheme(replace(scene, motor=motor), scene.start, jnp.asarray(0.05)).state
         return jnp.stack([state.motor_angle[0], 1e3 * state.q[-1 - scene.rod.topology.n_edges]])
 
     forward, reverse = jax.jit(jax.jacfwd(end))(at), jax.jit(jax.jacrev(end))(at)
@@ -190,14 +194,13 @@ def test_ripple_of_a_rate_is_integrated_exactly():
 
 
 def test_ripple_of_a_torque_shows_in_its_rate():
-    motor = {"stall_torque": STALL, "free_rpm": FREE, "ripple": 0.3, "ripple_order": 3}
-    run = run_of(motor=motor, time={"end": 1.0, "frame": 0.02})
-    states = jax.tree.map(lambda leaf: leaf[20:], run.states)
+    run = rippled(0.02)
+    states = jax.tree.map(lambda leaf: leaf[1:], run.states)
     angle, rate = motor_angles(run.scene, states)[:, 0], motor_rates(run.scene, states)[:, 0]
     assert np.all(np.diff(angle) > 0)
-    assert angle[-1] > 1.5 * np.pi  # and yet every angle is within half a turn
+    assert angle[-1] > 1.2 * np.pi  # and yet every angle is within half a turn
     assert np.all(np.abs(run.states.motor_angle) <= np.pi + 1e-12)
-    torque = STALL * (1.0 - rate / (FREE * TURN) + 0.3 * np.sin(3 * angle))
+    torque = STALL * (1.0 - rate / (2.0 * FREE * TURN) + 0.3 * np.sin(3 * angle))
     np.testing.assert_allclose(motor_torques(run.scene, states)[:, 0], torque, rtol=2e-6)
     wave = np.exp(-3j * angle)
     assert abs(np.mean((rate - rate.mean()) * wave)) > 0.05 * float(rate.mean())
@@ -205,7 +208,10 @@ def test_ripple_of_a_torque_shows_in_its_rate():
 
 def test_every_motor_has_a_torque_of_its_own():
     file = scene_file(
-        "two_flagella", {"stall_torque": [STALL, 2 * STALL], "free_rpm": [FREE, -FREE]}
+        "two_flagella",
+        {"stall_torque": [STALL, 2 * STALL], "free_rpm": [FREE, -FREE]},
+        fluid={"hydrodynamics": "rft"},  # quick to compile
+        contact={"method": "none"},
     )
     run = dj.rollout(dj.build(file), reverse_mode=False)
     run.raise_if_failed()
