@@ -97,7 +97,8 @@ def unbundling(length: studies.Length, found: Finder, output: Path) -> str:
     results = found(studies.unbundling(length))
     rows = []
     for name, result in results.items():
-        period, duty, amplitude = cycle(result.series)
+        done = result.numbers["status"] == "ok"
+        period, duty, amplitude = cycle(result.series) if done else (np.nan,) * 3
         mismatch = result.numbers["mismatch_rpm"]
         rows.append(
             {
@@ -134,9 +135,9 @@ def unbundling(length: studies.Length, found: Finder, output: Path) -> str:
 
 
 def approach(time: np.ndarray, phase: np.ndarray) -> float:
-    """1/s, at which a difference of phase decays, from 10 s on and while it is above 0.2 rad."""
+    """1/s, at which a difference of phase decays, from 2 s on and while it is above 0.1 rad."""
     size = np.abs(phase)
-    chosen = (time >= 10.0) & (np.cumsum(size < 0.2) == 0)
+    chosen = (time >= 2.0) & (np.cumsum(size < 0.1) == 0)
     if chosen.sum() < 5:
         return float("nan")
     return -float(np.polyfit(time[chosen], np.log(size[chosen]), 1)[0])

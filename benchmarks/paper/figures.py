@@ -143,9 +143,7 @@ def synchrony(results: dict[str, Result], rates: pd.DataFrame) -> plt.Figure:
         axes[1].plot(
             part["youngs_modulus"] / 1e6, 1e3 * part["rate"], "o-", label=f"from {phase:g} rad"
         )
-    axes[1].set(
-        xscale="log", xlabel="Young's modulus (MPa)", ylabel="decay (1/1000 s)"
-    )
+    axes[1].set(xscale="log", xlabel="Young's modulus (MPa)", ylabel="decay (1/1000 s)")
     axes[1].axhline(0.0, color="0.4", lw=0.8)
     axes[1].legend(fontsize=7, frameon=False)
     for ax in axes:
