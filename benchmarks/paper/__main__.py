@@ -220,14 +220,21 @@ def main() -> None:
     length = studies.QUICK if arguments.quick else studies.WHOLE
     runs = arguments.runs / ("quick" if arguments.quick else "whole")
 
+    missing: list[str] = []
+
     def found(cases: list[Case]) -> dict[str, Result]:
-        return results_of(cases, runs, make=not arguments.made)
+        results = results_of(cases, runs, make=not arguments.made)
+        missing.extend(case.name for case in cases if case.name not in results)
+        return results
 
     parts = runs / "parts"
     parts.mkdir(parents=True, exist_ok=True)
     for name, study in STUDIES.items():
         if arguments.only is None or name in arguments.only:
+            missing.clear()
             text = study(length, found, arguments.output)
+            if missing:
+                text += f"\nNot made yet, and not judged: {len(missing)} runs of this study.\n"
             (parts / f"{name}.md").write_text(text, encoding="utf-8")
             print(text, flush=True)
     there = [parts / f"{name}.md" for name in STUDIES if (parts / f"{name}.md").exists()]
