@@ -20,6 +20,7 @@ import jax
 import numpy as np
 import pytest
 
+from derjax.core.programs import keep_in
 from derjax.core.runtime import collect_garbage_rarely
 
 QUICKLY_COMPILED = os.environ.get("JAX_DISABLE_MOST_OPTIMIZATIONS") == "1"
@@ -130,6 +131,11 @@ def rng() -> np.random.Generator:
 
 @pytest.fixture(scope="module", autouse=True)
 def _programs_of_one_file() -> Iterator[None]:
-    """Drop compiled programs after every file: a process can only hold so many of them."""
+    """Drop compiled programs after every file: a process can only hold so many of them.
+
+    A command that a test has run in this process keeps programs from then on, and what those
+    make compiles apart from what was made before.
+    """
     yield
     jax.clear_caches()
+    keep_in(None)
