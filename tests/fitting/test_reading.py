@@ -11,7 +11,8 @@ import pytest
 from derjax import InputError
 from derjax.commands.new import template
 from derjax.core.errors import InputWarning
-from fitting.datasetfile import Columns, RunFile
+from fitting.datasetfile import Columns, DatasetFile, RunFile
+from fitting.joint.file import NoiseFile, RatesFile, Shared
 from fitting.tracks import load_dataset
 
 FRAMES = 14
@@ -203,11 +204,16 @@ def test_a_unit_in_the_header_that_is_another_one(read, unit):
 
 
 def test_the_example_has_every_key():
-    text = template("dataset.toml")
-    _, table = text.split("[[runs]]")
-    run = tomllib.loads(re.sub(r"^# (\w+ = \S)", r"\1", table, flags=re.MULTILINE))
+    text = re.sub(r"^# (\w+ = \S|\[)", r"\1", template("dataset.toml"), flags=re.MULTILINE)
+    dataset = tomllib.loads(text)
+    assert set(dataset) == set(DatasetFile.model_fields)
+    (run,) = dataset["runs"]
     assert set(run) == set(RunFile.model_fields)
     assert set(run["columns"]) == set(Columns.model_fields)
+    (rates,) = dataset["rates"]
+    assert set(rates) == set(RatesFile.model_fields)
+    assert set(dataset["noise"]) == set(NoiseFile.model_fields)
+    assert set(dataset["nuisances"]) == set(Shared.model_fields)
 
 
 def test_a_track_without_rows(read):
