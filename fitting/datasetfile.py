@@ -14,7 +14,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from derjax.io.fields import Finite, Positive, Switch, Table
+from derjax.io.fields import Finite, NonNegative, Positive, Switch, Table
 
 from .joint.file import KnownPrior, NoiseFile, Nuisances, RatesFile, Shared
 from .observe import CHANNELS
@@ -64,7 +64,9 @@ class RunFile(TrackKeys):
 
     `t_start` and `t_end` (in `time_unit`) select frames. `time_offset` (in `time_unit`) is
     added to the times of the track: in the simulation the motor starts at time 0, which for a
-    camera switched on 3 s later is 3 s before its first frame. `sigma` is the noise of positions
+    camera switched on 3 s later is 3 s before its first frame. `exposure` (in `time_unit`) is for
+    how long the shutter is open from the time of each frame on; what is seen is the mean over that.
+    `sigma` is the noise of positions
     in `length_unit`, `sigma_angle` that of the angle in `angle_unit`; left out, the noise is
     estimated. `origin` says what positions are relative to: with "scene" they are those of
     the scene, with "track" only displacements are compared. With `drift = true` the robot may drift
@@ -92,6 +94,7 @@ class RunFile(TrackKeys):
     t_start: Finite | None = None
     t_end: Finite | None = None
     time_offset: Finite = 0.0
+    exposure: NonNegative = 0.0
     origin: Literal["scene", "track"] = "scene"
     drift: Switch = False
     start: Literal["rest", "steady"] = "rest"

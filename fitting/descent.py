@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from derjax import SolverError
 
-from .observe import interpolation
+from .observe import exposed, interpolation, looked_at
 from .simulate import motor_rate, simulate
 from .tracks import Dataset, Run
 from .transforms import Parameters
@@ -108,12 +108,16 @@ def track_loss(
     def objective(free: Float[Array, " p"]) -> tuple[Array, Array]:
         total, count, status = jnp.zeros(()), 0, jnp.zeros((), jnp.int32)
         for run in chosen:
-            at_frames = interpolation(run.time, step)
+            instants = looked_at(run.time, run.exposure).ravel()
+            n_steps = interpolation(instants, step).n_steps
             rate = motor_rate(dataset.scene, run)
-            observed, report = simulate(
-                dataset.scene, parameters, free, rate, at_frames.n_steps, run.sight
-            )
-            error = at_frames(observed)[:, np.array(run.channels)] - run.values
+            observed, report = simulate(dataset.scene, parameters, free, rate, n_steps, run.sight)
+
+            def at(time: np.ndarray, observed: Array = observed) -> Array:
+                return interpolation(time, step)(observed)
+
+            at_frames = exposed(at, run.time, run.exposure)
+            error = at_frames[:, np.array(run.channels)] - run.values
             if run.free_origin:
                 error = error - jnp.where(run.is_angle, 0.0, error.mean(axis=0))
             total += jnp.sum((error / _scale(run)) ** 2)

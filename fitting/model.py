@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from derjax import Status
 
 from .levenberg import Evaluation
-from .observe import interpolation
+from .observe import exposed, interpolation, looked_at
 from .residuals import Predicted, residuals
 from .screw import Motion, extended, is_steady
 from .simulate import SimulatedTrack, Simulator, motor_rate, steps_per_call
@@ -68,7 +68,7 @@ class Model:
         self.dataset, self.parameters = dataset, parameters
         self.step = dataset.scene.step
         self.rates = [motor_rate(dataset.scene, run) for run in dataset.runs]
-        self.steps = [interpolation(run.time, self.step).n_steps for run in dataset.runs]
+        self.steps = [_n_steps(run, self.step) for run in dataset.runs]
         self.simulator = Simulator(
             dataset.scene, parameters, steps_per_call(max(self.steps)), dataset.sight
         )
@@ -184,15 +184,26 @@ def _period(dataset: Dataset, rpm: np.ndarray) -> float | None:
 
 def predict(run: Run, simulated: SimulatedTrack, step: float, period: float | None) -> Predicted:
     """What a run's camera would have seen, and the derivatives of that."""
-    at_frames = interpolation(run.time, step)
-    if at_frames.n_steps < len(simulated.time):
-        return Predicted(at_frames(simulated.observed), at_frames(simulated.sensitivity))
-    assert period is not None  # only such motions end before their last frame
-    columns = []
-    for k in range(simulated.sensitivity.shape[-1]):
-        ends = [
-            extended(simulated.moved(k, sign * SMALL), step, period, run.time) for sign in (-1, 1)
-        ]
-        columns.append((ends[1] - ends[0]) / (2 * SMALL))
-    observed = extended(simulated.motion, step, period, run.time)
-    return Predicted(observed, np.stack(columns, axis=-1))
+
+    def simulated_at(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        at = interpolation(time, step)
+        return at(simulated.observed), at(simulated.sensitivity)
+
+    def continued_at(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        assert period is not None  # only such motions end before their last frame
+        columns = []
+        for k in range(simulated.sensitivity.shape[-1]):
+            ends = [
+                extended(simulated.moved(k, sign * SMALL), step, period, time) for sign in (-1, 1)
+            ]
+            columns.append((ends[1] - ends[0]) / (2 * SMALL))
+        return extended(simulated.motion, step, period, time), np.stack(columns, axis=-1)
+
+    whole = _n_steps(run, step) < len(simulated.time)
+    seen = exposed(simulated_at if whole else continued_at, run.time, run.exposure)
+    return Predicted(*seen)
+
+
+def _n_steps(run: Run, step: float) -> int:
+    """Steps that have to be simulated."""
+    return interpolation(looked_at(run.time, run.exposure).ravel(), step).n_steps

@@ -1,6 +1,7 @@
 """What a camera sees of a simulated robot, and when."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -91,6 +92,34 @@ def orientations(topology: Topology, states: State) -> Float[Array, "t 3 3"]:
     angle = angles(topology, states.q)[:, edge]
     frame = material_directors(states.reference_director[:, edge], tangent, angle)
     return jnp.stack([tangent, *frame], axis=-1)
+
+
+INSTANTS = np.sqrt(0.6) * np.array([-0.5, 0.0, 0.5])
+"""When a frame is looked at, in units of its exposure, from the middle on (Gauss and Legendre)."""
+
+SHARES = np.array([5.0, 8.0, 5.0]) / 18.0
+"""Weights of these instants: their mean is that over the exposure to fifth order."""
+
+
+def looked_at(time: Float[np.ndarray, " f"], exposure: float) -> Float[np.ndarray, "i f"]:
+    """s, when a camera looks whose frames have their middle at `time` (s)."""
+    return time + (INSTANTS[:, None] * exposure if exposure else np.zeros((1, 1)))
+
+
+def exposed(at: Callable[[np.ndarray], Any], time: Float[np.ndarray, " f"], exposure: float) -> Any:
+    """What a camera sees whose shutter is open for a while: the mean over that.
+
+    Args:
+        at: what is seen at times (s), an array or several.
+        time: s, of the middle of each frame.
+        exposure: s, for how long the shutter is open.
+    """
+    if exposure == 0.0:
+        return at(time)
+    seen_then = [at(instants) for instants in looked_at(time, exposure)]
+    return jax.tree.map(
+        lambda *values: sum(w * v for w, v in zip(SHARES, values, strict=True)), *seen_then
+    )
 
 
 class Interpolation(NamedTuple):

@@ -16,6 +16,7 @@ from derjax.scenes.messages import check
 from derjax.scenes.motortable import covers
 from derjax.scenes.timing import time_grid
 
+from .clock import ROUNDING
 from .datasetfile import ANGLE_UNITS, LENGTH_UNITS, DatasetFile, RunFile
 from .direction import check_direction
 from .joint.file import KnownPrior, NoiseFile, Nuisances, Prior, Shared
@@ -51,6 +52,7 @@ class Run:
         scene: the robot; None: that of the dataset.
         own: parameters of which this run has a value of its own.
         nuisances: what else is estimated, in SI units.
+        exposure: s, for how long the shutter is open in each frame, half of it before its time.
     """
 
     name: str
@@ -70,6 +72,7 @@ class Run:
     scene: SceneFile | None = None
     own: tuple[str, ...] = ()
     nuisances: Nuisances = field(default_factory=Nuisances)
+    exposure: float = 0.0
 
     @property
     def is_angle(self) -> np.ndarray:
@@ -138,6 +141,7 @@ def load_dataset(path: str | Path) -> Dataset:
         described = one.keys
         track = path.parent / described.track
         own = run.scene or scene
+        _check_exposure(track, run, described)
         _check_covered(track, run, own, described)
         check_plausible(track, run, own, described)
         check_direction(track, own, described, run.time, run.values, run.channels)
@@ -176,9 +180,10 @@ def _in_steps_for(runs: tuple[Run, ...], scene: SceneFile) -> SceneFile:
 def _run(track: Track, scene: SceneFile | None) -> Run:
     run = track.keys
     rpm = run.motor_rpm
+    exposure = run.exposure * TIME_UNITS[run.time_unit]
     return Run(
         name=Path(run.track).stem,
-        time=track.time,
+        time=track.time + 0.5 * exposure,
         channels=track.channels,
         values=track.values,
         motor_rpm=rpm[0] if isinstance(rpm, tuple) and len(rpm) == 1 else rpm,
@@ -195,6 +200,7 @@ def _run(track: Track, scene: SceneFile | None) -> Run:
         scene=scene,
         own=run.own,
         nuisances=_in_si(run),
+        exposure=exposure,
     )
 
 
@@ -236,6 +242,17 @@ def _check_rates(path: Path, run: RunFile, scene: SceneFile) -> None:
         raise InputError(
             f"{path}: [runs] {run.track}: motor_rpm has {len(run.motor_rpm)} rates, "
             f"but the robot has {count} motors"
+        )
+
+
+def _check_exposure(path: Path, run: Run, described: RunFile) -> None:
+    """`InputError` if the shutter of the camera is open for longer than a frame."""
+    shortest = float(np.diff(run.time).min(initial=np.inf))
+    if run.exposure > shortest * (1.0 + ROUNDING):
+        raise InputError(
+            f"{path}: exposure = {described.exposure:g} {described.time_unit} is longer than the "
+            f"{shortest / TIME_UNITS[described.time_unit]:.3g} {described.time_unit} from one "
+            "frame to the next; it is in time_unit, also where the rate of frames is given by fps"
         )
 
 

@@ -79,6 +79,7 @@ def _identity(
             run.scene,
             run.own,
             run.nuisances,
+            run.exposure,
         )
         tracks.update(repr((*words, *more)).encode())
         for array in (run.time, run.values):

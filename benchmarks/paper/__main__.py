@@ -13,10 +13,12 @@ Lim, Yadunandan & Jawed, Soft Matter 19, 2254, 2023. Studies are
 - wrapping: filaments on fixed motors, at a viscous-elastic number 20 times that of the robot.
 
 Every run is kept in a file of its own and not made again, so that the study can be stopped and goes
-on; `--made` judges by those that are there. `--quick` has fewer and shorter runs and takes minutes.
-Writes paper.md and paper_*.png.
+on; `--made` judges by those that are there. Writes paper.md, in which the parts of other studies
+stay, and paper_*.png. `--quick` has fewer and shorter runs, takes minutes, and writes into a folder
+`quick` of its own.
 """
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -201,6 +203,18 @@ def wrapping(length: studies.Length, found: Finder, output: Path) -> str:
     return text + "\n![Distance of tips](paper_wrapping.png)\n"
 
 
+MARK = "<!-- study: {} -->"
+"""What stands before the part of a study in the page."""
+
+
+def parts_of(page: Path) -> dict[str, str]:
+    """What a page says already, by study."""
+    if not page.exists():
+        return {}
+    _, *rest = re.split(MARK.format(r"(\w+)") + r"\n+", page.read_text(encoding="utf-8"))
+    return {name: text.rstrip() + "\n" for name, text in zip(rest[::2], rest[1::2], strict=True)}
+
+
 STUDIES: dict[str, Callable[[studies.Length, Finder, Path], str]] = {
     "pairs": pairs,
     "single": single,
@@ -227,21 +241,21 @@ def main() -> None:
         missing.extend(case.name for case in cases if case.name not in results)
         return results
 
-    parts = runs / "parts"
-    parts.mkdir(parents=True, exist_ok=True)
+    output = arguments.output / "quick" if arguments.quick else arguments.output
+    output.mkdir(parents=True, exist_ok=True)
+    page = output / "paper.md"
+    parts = parts_of(page)
     for name, study in STUDIES.items():
         if arguments.only is None or name in arguments.only:
             missing.clear()
-            text = study(length, found, arguments.output)
+            parts[name] = study(length, found, output)
             if missing:
-                text += f"\nNot made yet, and not judged: {len(missing)} runs of this study.\n"
-            (parts / f"{name}.md").write_text(text, encoding="utf-8")
-            print(text, flush=True)
-    there = [parts / f"{name}.md" for name in STUDIES if (parts / f"{name}.md").exists()]
-    command = "python -m benchmarks.paper" + " --quick" * arguments.quick
-    page = f"# The paper, claim by claim\n\n`{command}`\n\n"
-    page += "\n".join(path.read_text(encoding="utf-8") for path in there)
-    (arguments.output / "paper.md").write_text(page, encoding="utf-8")
+                parts[name] += f"\nNot made yet, and not judged: {len(missing)} runs.\n"
+            print(parts[name], flush=True)
+            command = "python -m benchmarks.paper" + " --quick" * arguments.quick
+            text = f"# The paper, claim by claim\n\n`{command}`\n"
+            text += "".join(f"\n{MARK.format(n)}\n\n{parts[n]}" for n in STUDIES if n in parts)
+            page.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

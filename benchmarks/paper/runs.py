@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 import derjax as dj
+from derjax.io.files import atomic_path
 from derjax.runs.progress import Progress
 
 RADIUS = 6.36e-3
@@ -49,7 +50,8 @@ class Result(NamedTuple):
 def results_of(cases: Iterable[Case], directory: Path, make: bool = True) -> dict[str, Result]:
     """The results of runs; those that are kept in a directory are not made again.
 
-    A run that fails is kept as well: its status says why, and its series end there.
+    A run that fails is kept as well: its status says why, and its series end there. Several
+    processes may fill one directory: a run is looked for once more before it is made.
 
     Args:
         cases: the runs.
@@ -62,7 +64,7 @@ def results_of(cases: Iterable[Case], directory: Path, make: bool = True) -> dic
     missing = [case for case in cases if make and found[case.name] is None]
     with Progress(len(missing), "runs") as progress:
         for count, case in enumerate(missing):
-            found[case.name] = _made(case, directory)
+            found[case.name] = _known(case, directory) or _made(case, directory)
             progress.update(count + 1)
     return {name: result for name, result in found.items() if result is not None}
 
@@ -114,7 +116,8 @@ def _made(case: Case, directory: Path) -> Result:
     path = directory / f"{case.name}.json"
     series.to_csv(path.with_suffix(".csv"), index=False, float_format="%.7g")
     kept = {"scene": case.tables, "numbers": numbers}
-    path.write_text(json.dumps(kept, default=float), encoding="utf-8")
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(kept, default=float), encoding="utf-8")
     return Result({**case.of, **numbers}, series)
 
 

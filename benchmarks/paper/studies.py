@@ -46,7 +46,7 @@ WHOLE = Length(
     moduli=(0.3e6, 0.6e6, 1.255e6, 2.5e6, 5e6, 20e6),
     synchrony=120.0,
     conditions=True,
-    wrapping={2: 25.0, 3: 25.0, 5: 25.0},
+    wrapping={2: 250.0, 3: 100.0, 5: 25.0},
 )
 QUICK = Length(
     end=20.0,

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..observe import exposed
 from ..residuals import RESOLUTION
 from ..tracks import Run
 from ..uncertainty import KINDS
@@ -119,8 +120,10 @@ class TrackPart:
             return jnp.asarray(track), jnp.asarray(columns), self.varied
         known = self.known(point)
         begin = jnp.array([0.0 if k is None else point.values[k] for k in self.start])
-        since = jnp.asarray(self.clock(time))
-        track, by_gait, by_start = swimming(jnp.asarray(known.gait), since, begin)
+        gait, since = jnp.asarray(known.gait), self.clock(time)
+        track, by_gait, by_start = exposed(
+            lambda at: swimming(gait, jnp.asarray(at), begin), since, self.run.exposure
+        )
         columns = by_gait @ (known.jacobian * point.slopes[list(self.varied)])
         places = [(k, place) for k, place in enumerate(self.start) if place is not None]
         chosen = by_start[..., [k for k, _ in places]]

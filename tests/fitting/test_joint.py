@@ -104,6 +104,21 @@ def test_derivatives_of_all_that_is_seen(dataset) -> None:
         assert error < 1e-5 * max(np.abs(exact[:, k]).max(), 1e-6), problem.unknowns.names[k]
 
 
+def test_an_exposed_track_is_the_mean_of_sharp_ones(dataset) -> None:
+    problem = assemble(dataset, tuple(TRUTH), TRUTH)
+    point = problem.evaluate(problem.unknowns.start()).model
+    sharp, exposure = problem.parts[0], 0.4
+    blurred = replace(sharp, run=replace(sharp.run, exposure=exposure))
+    shifts = exposure * ((np.arange(40) + 0.5) / 40 - 0.5)
+    each = [sharp.predicted(point, 0, TIMES + 30.0 + shift) for shift in shifts]
+    for k, found in enumerate(blurred.predicted(point, 0)):
+        mean = np.mean([one[k] for one in each], axis=0)
+        np.testing.assert_allclose(found, mean, atol=1e-4 * np.abs(mean).max(), rtol=1e-4)
+    # The head goes round the axis: its blurred circle is smaller.
+    radius = [np.ptp(p.predicted(point, 0)[0][:, 1]) for p in (sharp, blurred)]
+    assert radius[1] < 0.999 * radius[0]
+
+
 def test_tracks_after_the_transient_give_the_truth(dataset) -> None:
     fit, _ = calibrate_jointly(dataset)
     assert fit.status == "converged"

@@ -10,7 +10,7 @@ import pytest
 
 from derjax import SceneFile, build
 from derjax.rods.topology import Head
-from fitting.observe import interpolation, observations, seen, silhouettes
+from fitting.observe import exposed, interpolation, observations, seen, silhouettes
 
 STEP = 0.04
 TIMES = np.array([0.0, 0.013, 0.04, 0.0401, 0.07, 0.12, 0.333, 0.4, 0.48 - 1e-14, 0.5])
@@ -29,6 +29,19 @@ def test_motions_quadratic_in_time_are_exact(degree) -> None:
     grid = STEP * np.arange(20)
     found = interpolation(TIMES, STEP)(grid[:, None] ** degree)[:, 0]
     assert np.allclose(found, TIMES**degree, rtol=0, atol=1e-12)
+
+
+def test_what_moves_while_the_shutter_is_open_is_blurred() -> None:
+    exposure, rate = 0.2, 7.0
+    wave, line = exposed(lambda t: (np.sin(rate * t), 3.0 * t), TIMES, exposure)
+    half = 0.5 * rate * exposure
+    np.testing.assert_allclose(wave, np.sin(half) / half * np.sin(rate * TIMES), atol=1e-5)
+    np.testing.assert_allclose(line, 3.0 * TIMES, rtol=1e-14)
+    sixth = exposed(lambda t: t**6, np.zeros(1), exposure)
+    fifth = exposed(lambda t: t**5 + t**4, np.ones(1), exposure)
+    mean = ((1.1**6 - 0.9**6) / 6 + (1.1**5 - 0.9**5) / 5) / exposure
+    assert fifth == pytest.approx(mean, rel=1e-14)
+    assert abs(sixth / (0.1**6 / 7) - 1) > 0.1
 
 
 def test_error_is_of_third_order() -> None:

@@ -72,13 +72,15 @@ def test_previews_are_what_whole_simulations_give(scene, simulator: Simulator) -
     assert preview is not None
     assert whole is not None
     assert len(preview.model[0].time) < 0.6 * len(whole.model[0].time)
-    short, long = (predict(run, t.model[0], scene.step, 1.0) for t in (preview, whole))
-    way = np.abs(long.observed[-1, 0] - long.observed[0, 0])
-    assert np.abs(short.observed - long.observed)[:, :3].max() < 1e-2 * way
-    assert np.abs(short.observed - long.observed)[:, 3].max() < 0.1
-    size = np.abs(long.sensitivity).max(axis=0)
-    difference = np.abs(short.sensitivity - long.sensitivity).max(axis=0)
-    assert (difference[[0, 3]] < 0.05 * size[[0, 3]].max(axis=-1, keepdims=True)).all()
+    for exposure in (0.0, 0.5):
+        exposed = replace(run, exposure=exposure)
+        short, long = (predict(exposed, t.model[0], scene.step, 1.0) for t in (preview, whole))
+        way = np.abs(long.observed[-1, 0] - long.observed[0, 0])
+        assert np.abs(short.observed - long.observed)[:, :3].max() < 1e-2 * way
+        assert np.abs(short.observed - long.observed)[:, 3].max() < 0.1
+        size = np.abs(long.sensitivity).max(axis=0)
+        difference = np.abs(short.sensitivity - long.sensitivity).max(axis=0)
+        assert (difference[[0, 3]] < 0.05 * size[[0, 3]].max(axis=-1, keepdims=True)).all()
 
 
 def test_nothing_is_continued_that_does_not_repeat(scene, simulator: Simulator) -> None:

@@ -74,6 +74,13 @@ def test_start_and_end_select_frames(written) -> None:
     assert run.time[[0, -1]] == pytest.approx([2.0, 11.0])
 
 
+def test_a_frame_is_of_the_middle_of_its_exposure(written) -> None:
+    (run,) = load_dataset(written(run=RUN + "exposure = 0.5\n")).runs
+    (sharp,) = load_dataset(written()).runs
+    assert run.exposure == 0.5
+    assert run.time == pytest.approx(sharp.time + 0.25)
+
+
 STEADY = 'start = "steady"\n'
 
 CASES = {
@@ -133,6 +140,10 @@ CASES = {
     "a rate from rest": (
         {"run": RUN + "nuisances = { motor_rpm = { std = 1.0 } }\n"},
         r'nuisances.motor_rpm: is only for tracks with start = "steady"',
+    ),
+    "an exposure in other units": (
+        {"run": RUN + "exposure = 20\n"},
+        r"track.csv: exposure = 20 s is longer than the 1 s from one frame to the next",
     ),
     "no runs": ({"run": ""}, "dataset.toml: .*runs"),
     "bad scene": ({"scene": "[head]\nC_tt = 1\n"}, "scene.toml: .*C_tt.*'C_t'"),
