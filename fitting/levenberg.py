@@ -16,6 +16,13 @@ LONGEST_STEP = 2.0
 """Of a free parameter in one iteration; on a logarithmic scale a factor of 7.4."""
 
 
+LONGEST_STRETCH = 4.0
+"""By which steps are lengthened where the loss is less curved than least squares think."""
+
+SAME_WAY = 0.95
+"""Cosine of the angle between the effects of two steps that go the same way."""
+
+
 @dataclass(frozen=True)
 class Evaluation(Generic[T]):
     """The model at one set of parameters.
@@ -86,11 +93,14 @@ def minimise(
 ) -> Optimum[T] | None:
     """Parameters that minimise `Residuals.loss`.
 
-    The damping follows the ratio of actual to predicted gain (Nielsen 1999). The search has
-    converged when the gradient has vanished, in variables scaled such that the noise is 1 in all
-    directions: when the part of the residuals that any change of the parameters could explain
-    is worth less than `gain_tolerance` in log likelihood. 1e-3 is a step of 4.5 % of a standard
-    error, a change that nobody could measure.
+    The damping follows the ratio of actual to predicted gain (Nielsen 1999). Where residuals are
+    curved and not small, the loss is less curved than the Jacobian says, by as much as the gain of
+    a step is larger; the next ones, if they go the same way, are lengthened accordingly.
+
+    The search has converged when the gradient has vanished, in variables scaled such that the noise
+    is 1 in all directions: when the part of the residuals that any change of the parameters could
+    explain is worth less than `gain_tolerance` in log likelihood. 1e-3 is a step of 4.5 % of a
+    standard error, a change that nobody could measure.
 
     Args:
         evaluate: the model at a free vector; None where it cannot be computed: such a step is
@@ -116,7 +126,8 @@ def minimise(
         return None
     best: Evaluation[T] = first
     free = np.array(start, dtype=float)
-    damping, growth = 1e-3, 2.0
+    damping, growth, stretch = 1e-3, 2.0, 1.0
+    effect = np.zeros(first.residuals.value.size)
     history: list[Iteration] = []
 
     def note(accepted: bool) -> None:
@@ -143,11 +154,17 @@ def minimise(
                 return ended("stalled")
             if len(history) > max_iterations:
                 return ended("max_iterations")
+            r, jacobian = best.residuals.whitened()
+            before, effect = effect, jacobian @ step
+            alike = before @ effect > SAME_WAY * np.linalg.norm(before) * np.linalg.norm(effect)
+            stretch = min(stretch if alike else 1.0, LONGEST_STEP / np.abs(step).max())
+            step = stretch * step
             loss = best.residuals.loss()
             promised = loss - shifted(best.residuals, step).loss()
             trial = evaluate(free + step)
             actual = -np.inf if trial is None else loss - trial.residuals.loss()
             accepted = bool(actual > 0)
+            stretch = _stretched(stretch, -stretch * float(r @ effect), actual)
             if accepted and trial is not None:
                 free, best = free + step, trial
                 ratio = min(actual / promised, 1.0) if promised > 0 else 1.0
@@ -159,6 +176,20 @@ def minimise(
             note(accepted)
     except KeyboardInterrupt:
         return ended("interrupted")
+
+
+def _stretched(stretch: float, fall: float, gain: float) -> float:
+    """By how much to lengthen the next step: to where a parabola is lowest.
+
+    Args:
+        stretch: of this step.
+        fall: of the loss if it had gone on as it began.
+        gain: by how much the loss has fallen.
+    """
+    if not np.isfinite(gain) or gain <= 0 or fall <= 0:
+        return 1.0
+    best = fall / max(2.0 * (fall - gain), fall / (2.0 * LONGEST_STRETCH))
+    return float(np.clip(stretch * best, 1.0, LONGEST_STRETCH))
 
 
 def _newton(residuals: Residuals) -> tuple[Float[np.ndarray, " p"], float]:

@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -12,9 +11,8 @@ import numpy as np
 from derjax import Scene, SolverError, State
 from derjax.integrate.frames import new_stats
 
-from ..explore import without
 from ..goodness import Goodness, goodness
-from ..levenberg import Evaluation, Iteration, Optimum, minimise
+from ..levenberg import Iteration, Optimum
 from ..noise import NoisyResiduals
 from ..outcome import Estimate, Fit, Progress, RateFit, RunFit
 from ..plausible import runaway, unlikely
@@ -25,6 +23,7 @@ from .assemble import assemble
 from .begin import beginning
 from .parts import Point, RatesPart, TrackPart
 from .problem import Free, Problem
+from .projection import Projection, search_projected
 from .unknowns import Unknown
 
 FRAMES = 400
@@ -122,19 +121,14 @@ def search(
     fixed = np.zeros(len(free), bool) if held is None else held
     start, fitted = problem.unknowns.start(), problem.unknowns.fitted
 
-    def evaluate(whole: bool, free: Free) -> Evaluation[Point] | None:
-        trial = problem.evaluate(free, whole)
-        return None if trial is None else without(trial, fixed)
-
     def is_lost(free: Free, residuals: Residuals) -> bool:
         return bool((runaway(residuals, free - start) & fitted & ~fixed).any())
 
     def down(whole: bool, free: Free) -> Optimum[Point] | None:
-        return minimise(
-            partial(evaluate, whole),
-            free,
+        return search_projected(
+            Projection(problem, free, fixed, whole),
             max_iterations=max_iterations,
-            step_tolerance=tolerance,
+            tolerance=tolerance,
             is_lost=is_lost,
             on_iteration=on_iteration,
         )

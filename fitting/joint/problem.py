@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from derjax import SceneFile, SolverError
 
@@ -92,6 +92,21 @@ class Problem:
         self.on_evaluation: Callable[[], None] = lambda: None
         self.kept = GaitStore(store)
         self._last: tuple[bytes, bool, Point] | None = None
+
+    @property
+    def dear(self) -> Bool[np.ndarray, " p"]:
+        """Which numbers gaits or simulations depend on."""
+        mask = np.zeros(len(self.unknowns.every), bool)
+        for sourced in self.sources:
+            mask[list(sourced.varied)] = True
+        for group in self.rest:
+            mask[[*group.varied, *(place for place in group.offsets if place is not None)]] = True
+        return mask
+
+    def moved(self, point: Point, free: Free) -> Evaluation[Point]:
+        """Residuals where only numbers have changed that no gait and no simulation depends on."""
+        there = replace(point, values=self.unknowns.values(free), slopes=self.unknowns.slopes(free))
+        return Evaluation(self.residuals(there, free), there)
 
     def point(self, free: Free, whole: bool = False) -> Point | None:
         """Gaits and tracks at a point; None where there are none (`failure` says why)."""
