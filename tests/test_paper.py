@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.paper import runs, studies
+from benchmarks.paper import local, runs, studies
 from benchmarks.paper.claims import CLAIMS, cycle, judged
 from derjax.scenes.file import SceneFile
 
@@ -64,7 +64,7 @@ def test_period_and_duty_of_a_cycle(period, duty):
 
 @pytest.mark.parametrize("length", [studies.WHOLE, studies.QUICK], ids=["whole", "quick"])
 def test_every_run_of_the_study_is_a_scene(length):
-    makers = (studies.pairs, studies.conditions, studies.unbundling)
+    makers = (studies.pairs, studies.conditions, studies.unbundling, studies.winding)
     cases = [c for make in (*makers, studies.synchrony, studies.wrapping) for c in make(length)]
     assert len({case.name for case in cases}) == len(cases)
     for case in cases:
@@ -85,3 +85,13 @@ def test_runs_are_made_once_and_obey_the_law_of_efficiency(tmp_path):
     assert runs.results_of([case], tmp_path)["one"].numbers["efficiency"] == 7.0
     other = case._replace(tables=tables | {"motor": {"rpm": 61.0}})
     assert runs.results_of([other], tmp_path)["one"].numbers["efficiency"] != 7.0
+
+
+def test_the_local_model_crosses_where_it_is_known_to():
+    """Clamped beams swing at 3.516 and 22.03; a little flow turns tips by Bu / 8; crossing at 7."""
+    matrix, _ = local.fourth_derivative()
+    rates = np.sqrt(np.sort(np.linalg.eigvals(matrix).real)[:2])
+    assert rates == pytest.approx([3.516, 22.03], rel=2e-3)
+    assert local.turned(0.1)[-1] == pytest.approx(0.1 / 8, rel=5e-3)
+    assert local.turned(6.5, end=8.0)[-1] < np.pi / 2 < local.turned(7.5, end=8.0)[-1]
+    assert studies.PUBLISHED.number(studies.PUBLISHED_RATE) == pytest.approx(1050, rel=0.01)

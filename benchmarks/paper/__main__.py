@@ -10,7 +10,8 @@ Lim, Yadunandan & Jawed, Soft Matter 19, 2254, 2023. Studies are
 - single: steady states of one flagellum, omega_bar of 10 to 400;
 - unbundling: motors of a little different rates, by mismatch, friction, separation, kind of motor;
 - synchrony: two motors of limited torque that start out of phase, by stiffness;
-- wrapping: filaments on fixed motors, at a viscous-elastic number 20 times that of the robot.
+- wrapping: filaments on fixed motors, at a viscous-elastic number 20 times that of the robot;
+- winding: two of these at lower rates, against a local model of crossing and wrapping.
 
 Every run is kept in a file of its own and not made again, so that the study can be stopped and goes
 on; `--made` judges by those that are there. Writes paper.md, in which the parts of other studies
@@ -31,10 +32,14 @@ from ..command import command_line
 from ..tables import markdown
 from . import figures, studies
 from .claims import cycle, judged
+from .local import turned
 from .runs import Case, Result, results_of, table_of
 
 Finder = Callable[[list[Case]], dict[str, Result]]
 """Finds the results of runs, and makes those that are missing."""
+
+MODEL = (1.0, 2.0, 3.5, 5.0, 6.0, 6.7, 7.1, 8.0, 10.0, 14.0, 20.0, 28.0, 40.0, 56.0)
+"""Bu, at which the local model is solved; it takes long beyond, as the filaments wrap."""
 
 PAPER_CYCLE = 60.0
 """s: 10 s of bundling and 50 s of unbundling, with motors that are good to 1 rpm."""
@@ -215,12 +220,54 @@ def parts_of(page: Path) -> dict[str, str]:
     return {name: text.rstrip() + "\n" for name, text in zip(rest[::2], rest[1::2], strict=True)}
 
 
+def winding(length: studies.Length, found: Finder, output: Path) -> str:
+    results = found(studies.winding(length))
+    model = pd.DataFrame({"Bu": MODEL, "turned": [half_turns(turned(n)) for n in MODEL]})
+    rows = pd.DataFrame(
+        [
+            {
+                "Bu": result.numbers["Bu"],
+                "turned": half_turns(result.series["tip_turn"].to_numpy()),
+                "local model": np.interp(result.numbers["Bu"], model["Bu"], model["turned"]),
+                "tips_mm": 1e3 * result.series["tip_to_tip"].iloc[-1],
+                "closest_mm": 1e3 * result.series["minimum_distance"].min(),
+                "linking_number": result.series["linking_number"].iloc[-1],
+                "status": result.numbers["status"],
+            }
+            for result in results.values()
+        ]
+    )
+    rows.loc[rows["Bu"] > MODEL[-1], "local model"] = np.nan
+    _save(figures.winding(rows, model), output, "winding")
+    rows.to_csv(output / "paper_winding.csv", index=False, float_format="%.6g")
+    formats = {
+        "Bu": "g",
+        "turned": ".2f",
+        "local model": ".2f",
+        "tips_mm": ".1f",
+        "closest_mm": ".2f",
+        "linking_number": ".2f",
+        "status": "",
+    }
+    text = "## Crossing and wrapping\n\nTwo of the published filaments at other rates, against the "
+    text += (
+        "local model (`benchmarks/paper/local.py`); half turns of the tips about each other.\n\n"
+    )
+    return text + markdown(rows, formats) + "\n![Turn of the tips](paper_winding.png)\n"
+
+
+def half_turns(angle: np.ndarray) -> float:
+    """The turn (half turns) at the end of a run: the mean of its last tenth."""
+    return float(np.abs(np.mean(angle[-max(1, len(angle) // 10) :])) / np.pi)
+
+
 STUDIES: dict[str, Callable[[studies.Length, Finder, Path], str]] = {
     "pairs": pairs,
     "single": single,
     "unbundling": unbundling,
     "synchrony": synchrony,
     "wrapping": wrapping,
+    "winding": winding,
 }
 
 

@@ -151,6 +151,17 @@ def synchrony(results: dict[str, Result], rates: pd.DataFrame) -> plt.Figure:
     return fig
 
 
+def winding(rows: pd.DataFrame, model: pd.DataFrame) -> plt.Figure:
+    """By how much the tips have turned about each other, by the local model's number."""
+    fig, ax = plt.subplots(figsize=(6, 3.6), layout="constrained")
+    ax.plot(model["Bu"], model["turned"], color="0.5", label="local model")
+    ax.plot(rows["Bu"], rows["turned"], "o-", label="simulated")
+    ax.set(xscale="log", xlabel="Bu", ylabel="turn of the tips (half turns)")
+    ax.legend(fontsize=8, frameon=False)
+    ax.grid(alpha=0.25)
+    return fig
+
+
 def wrapping(results: dict[str, Result]) -> plt.Figure:
     """Mean distance of tips against time."""
     fig, ax = plt.subplots(figsize=(6, 3.6), layout="constrained")

@@ -112,6 +112,10 @@ def _made(case: Case, directory: Path) -> Result:
             for b in range(a + 1, len(tips))
         ]
         columns["tip_to_tip"] = np.mean(apart, axis=0)
+    if len(tips) == 2:
+        across = (x[:, 1] - x[:, 0])[:, 1:]  # the robots lie along x
+        turn = np.unwrap(np.arctan2(across[:, 1], across[:, 0]))
+        columns["tip_turn"] = turn - turn[0]
     series = pd.DataFrame(columns)
     path = directory / f"{case.name}.json"
     series.to_csv(path.with_suffix(".csv"), index=False, float_format="%.7g")

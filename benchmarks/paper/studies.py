@@ -10,6 +10,7 @@ import derjax as dj
 from derjax.results.steady import row
 
 from ..buckling import omega_bar
+from .local import Filaments
 from .runs import ANTIPHASE, IN_PHASE, RADIUS, Case, two_flagella
 
 RATIOS = (5, 7, 9)
@@ -33,6 +34,8 @@ class Length(NamedTuple):
     synchrony: float
     conditions: bool
     wrapping: dict[int, float]
+    winding: float
+    numbers: tuple[float, ...]
 
 
 WHOLE = Length(
@@ -47,6 +50,8 @@ WHOLE = Length(
     synchrony=120.0,
     conditions=True,
     wrapping={2: 250.0, 3: 100.0, 5: 25.0},
+    winding=200.0,
+    numbers=(3.5, 5.0, 7.0, 10.0, 14.0, 28.0, 56.0, 100.0, 200.0, 400.0),
 )
 QUICK = Length(
     end=20.0,
@@ -60,6 +65,8 @@ QUICK = Length(
     synchrony=30.0,
     conditions=False,
     wrapping={2: 6.0},
+    winding=100.0,
+    numbers=(3.5, 14.0),
 )
 
 
@@ -143,30 +150,58 @@ def synchrony(length: Length) -> list[Case]:
     ]
 
 
+PUBLISHED = Filaments(0.2, 0.01, 1e-3, 0.03, 3e6, 0.1)
+PUBLISHED_RATE = 15.0
+"""rad/s."""
+
+
+def clamped(count: int, rate: float, end: float, frame: float) -> dict[str, dict[str, Any]]:
+    """Filaments on fixed motors, as published for another code; see `benchmarks.many_flagella`.
+
+    Args:
+        count: of filaments.
+        rate: rad/s, of the motors.
+        end, frame: s.
+    """
+    return {
+        "robot": {
+            "kind": "clamped",
+            "n_flagella": count,
+            "helix_radius": PUBLISHED.radius,
+            "pitch": 0.05,
+            "axial_length": PUBLISHED.length,
+            "rod_radius": PUBLISHED.rod_radius,
+            "edge_length": 0.0048,
+            "separation": PUBLISHED.separation,
+            "handedness": "right",
+        },
+        "material": {"youngs_modulus": PUBLISHED.youngs_modulus, "density": 1000.0},
+        "fluid": {"regularization": 1.02e-3, "viscosity": PUBLISHED.viscosity},
+        "motor": {"rpm": -rate * 30.0 / np.pi},
+        "contact": {"stiffness": 1e4},
+        "time": {"end": end, "frame": frame, "scheme": "trbdf2", "tolerance": 2.5e-4},
+    }
+
+
 def wrapping(length: Length) -> list[Case]:
-    """Filaments on fixed motors, as published for another code; see `benchmarks.many_flagella`."""
-    cases = []
-    for count, end in length.wrapping.items():
-        scene = {
-            "robot": {
-                "kind": "clamped",
-                "n_flagella": count,
-                "helix_radius": 0.01,
-                "pitch": 0.05,
-                "axial_length": 0.2,
-                "rod_radius": 1e-3,
-                "edge_length": 0.0048,
-                "separation": 0.03,
-                "handedness": "right",
-            },
-            "material": {"youngs_modulus": 3e6, "density": 1000.0},
-            "fluid": {"regularization": 1.02e-3, "viscosity": 0.1},
-            "motor": {"rpm": -15.0 * 30.0 / np.pi},
-            "contact": {"stiffness": 1e4},
-            "time": {"end": end, "frame": 0.1, "scheme": "trbdf2", "tolerance": 2.5e-4},
-        }
-        cases.append(Case(f"wrapping-{count}", {"flagella": count}, scene))
-    return cases
+    """The published filaments, of several numbers."""
+    return [
+        Case(f"wrapping-{count}", {"flagella": count}, clamped(count, PUBLISHED_RATE, end, 0.1))
+        for count, end in length.wrapping.items()
+    ]
+
+
+def winding(length: Length) -> list[Case]:
+    """Two of the published filaments at lower rates, which is a lower Bu and nothing else."""
+    unit = PUBLISHED.number(1.0)
+    return [
+        Case(
+            f"winding-{number:g}".replace(".", "_"),
+            {"Bu": number},
+            clamped(2, number / unit, length.winding, 0.5),
+        )
+        for number in length.numbers
+    ]
 
 
 def single(rates: int = 30) -> pd.DataFrame:
