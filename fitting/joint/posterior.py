@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from derjax import InputError, SolverError
 
 from ..noise import BEND, DEGREES, LARGEST_RHO
+from ..observe import exposed
 from .fit import Solved
 from .gait import RATES, Gait, swum
 from .maps import applied
@@ -225,10 +226,16 @@ def predicted_by(
                 assert part.source is not None
                 packed = made[part.source](free)
                 gait = Gait.of(packed * kept_of(packed.size, part.averaged))
-                time = jnp.asarray(part.clock(part.run.time))
-                phase, roll = (0.0 if k is None else values[k] for k in part.start)
-                track = swum(gait, time, phase, roll)
-                track = applied(part.maps, track, time, values[np.array(part.mapped, int)])
+                time = part.clock(part.run.time)
+                start = [0.0 if k is None else values[k] for k in part.start]
+
+                def at(time: np.ndarray, gait: Gait = gait, start: list = start) -> Array:
+                    return swum(gait, jnp.asarray(time), *start)
+
+                track = exposed(at, time, part.run.exposure)
+                track = applied(
+                    part.maps, track, jnp.asarray(time), values[np.array(part.mapped, int)]
+                )
                 parts.append(track[:, np.array(part.run.channels)].T.ravel())
             else:
                 gaits = jnp.stack([made[k](free)[jnp.array([0, RATES - 2])] for k in part.sources])

@@ -1,6 +1,8 @@
 """Tracks that begin after the transient, what else is not known, and all data at once."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +17,7 @@ from fitting.joint.file import KnownPrior, NoiseFile, Nuisances, Shared
 from fitting.joint.fit import calibrate_jointly
 from fitting.joint.gait import Gait, swum
 from fitting.joint.parts import TrackPart
+from fitting.joint.posterior import predicted_by
 from fitting.joint.rates import Rates
 from fitting.joint.sources import source
 from fitting.tracks import Dataset, Run
@@ -114,6 +117,11 @@ def test_an_exposed_track_is_the_mean_of_sharp_ones(dataset) -> None:
     for k, found in enumerate(blurred.predicted(point, 0)):
         mean = np.mean([one[k] for one in each], axis=0)
         np.testing.assert_allclose(found, mean, atol=1e-4 * np.abs(mean).max(), rtol=1e-4)
+    solved: Any = SimpleNamespace(problem=SimpleNamespace(parts=(blurred, *problem.parts[1:])))
+    made: Any = {k: lambda _, g=known.gait: jnp.asarray(g) for k, known in point.gaits.items()}
+    drawn = predicted_by(solved, made)(jnp.zeros(0), jnp.asarray(point.values))
+    expected = blurred.predicted(point, 0)[0].T.ravel()
+    np.testing.assert_allclose(drawn[: expected.size], expected, atol=1e-12)
     # The head goes round the axis: its blurred circle is smaller.
     radius = [np.ptp(p.predicted(point, 0)[0][:, 1]) for p in (sharp, blurred)]
     assert radius[1] < 0.999 * radius[0]
@@ -196,6 +204,20 @@ def test_a_viscosity_for_all_and_a_parameter_of_one_run(dataset) -> None:
     assert fit.nuisances["viscosity (of all)"].std == pytest.approx(0.02, rel=0.2)
     for name in ("C_r", "C_r of rpm65"):
         assert abs(fit.values[name] - 0.36) < 4 * fit.estimates[name].std
+
+
+def test_two_robots_with_a_drag_in_common(dataset, scene) -> None:
+    """Another pitch in the second run, whose head spins against another drag."""
+    robot = scene.robot.model_copy(update={"pitch": 0.06})
+    other = scene.model_copy(update={"robot": robot})
+    gait = source(other, RATES[1], tuple(TRUTH))(np.array([4.8, 0.5])).gait
+    second = replace(dataset.runs[1], values=track(gait, 5), scene=other, own=("C_r",))
+    fit, _ = calibrate_jointly(replace(dataset, runs=(dataset.runs[0], second)))
+    assert set(fit.estimates) == {"C_t", "C_r", "C_r of rpm65"}
+    for name, truth in {"C_t": 4.8, "C_r": 0.36, "C_r of rpm65": 0.5}.items():
+        e = fit.estimates[name]
+        assert abs(e.value - truth) < 4 * e.std
+        assert e.std < 0.02 * truth
 
 
 def test_speeds_and_drift_without_a_prior_are_not_identifiable(dataset) -> None:

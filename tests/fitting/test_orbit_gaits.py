@@ -7,6 +7,7 @@ from derjax import SceneFile
 from fitting.joint.fit import calibrate_jointly
 from fitting.joint.gait import Gait, swum
 from fitting.joint.periodogram import turning
+from fitting.joint.posterior import posterior
 from fitting.joint.sources import OrbitSource, source
 from fitting.tracks import Dataset, Run
 
@@ -86,6 +87,15 @@ def test_a_side_view_gives_the_truth(limping, found) -> None:
         assert fit.estimates[name].std < 0.01 * truth
     assert fit.noise["position"] == pytest.approx(3e-6, rel=0.3)
     assert solved.problem.evaluations < 15
+
+
+def test_a_posterior_over_orbits(limping, found) -> None:
+    _, solved = calibrate_jointly(Dataset(limping, (side_view(found, 3e-6),)), NAMES, TRUTH)
+    drawn = posterior(solved, draws=300, chains=2)
+    known = dict(zip(solved.problem.unknowns.names, solved.known.std, strict=True))
+    for name, std in drawn.std().items():
+        assert std / drawn.mean()[name] == pytest.approx(known[name], rel=0.3)
+        assert drawn.mean()[name] == pytest.approx(TRUTH[name], rel=4 * known[name])
 
 
 def test_a_motion_below_the_noise_has_no_phase(limping, found) -> None:

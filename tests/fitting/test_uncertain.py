@@ -82,12 +82,27 @@ def test_a_profile_is_no_parabola_where_the_model_is_not_linear(scene) -> None:
     assert abs(high - low) > 0.15 * (high + low)
 
 
-def test_a_posterior_of_tracks_from_rest_is_refused(simulator, scene) -> None:
+@pytest.fixture(scope="module")
+def from_rest(simulator, scene):
+    """A track from rest beside speeds."""
     run = synthetic_run(simulator, 45.0, SHORT, TRUTH, sigma=1e-5, sigma_angle=1e-3)
     data = Dataset(scene, (run,), rates=(rates(scene, 0.01),))
-    _, solved = calibrate_jointly(data, initial=TRUTH)
+    return calibrate_jointly(data, initial=TRUTH)
+
+
+def test_a_posterior_of_tracks_from_rest_is_refused(from_rest) -> None:
     with pytest.raises(InputError, match="tracks from rest would have to be simulated"):
-        posterior(solved)
+        posterior(from_rest[1])
+
+
+def test_a_profile_and_a_plan_from_a_track_from_rest(from_rest) -> None:
+    fit, solved = from_rest
+    (one,) = profiles(solved, ["C_r"])
+    e = fit.estimates["C_r"]
+    assert one.ci95 == pytest.approx(e.ci95, abs=0.15 * e.std)
+    further = plan(solved, [45.0], [60.0], 2.0)
+    assert further.now["C_r"] == pytest.approx(e.std / e.value, rel=0.05)
+    assert further.best("C_t").std["C_t"] < further.now["C_t"]
 
 
 def test_the_page_needs_nothing_else(linear, drawn) -> None:
