@@ -41,6 +41,13 @@ Finder = Callable[[list[Case]], dict[str, Result]]
 MODEL = (1.0, 2.0, 3.5, 5.0, 6.0, 6.7, 7.1, 8.0, 10.0, 14.0, 20.0, 28.0, 40.0, 56.0)
 """Bu, at which the local model is solved; it takes long beyond, as the filaments wrap."""
 
+JAM = (
+    "Helices half a turn of phase apart overlap where their axes are closer than 2 (a + r_0) = "
+    "15.9 mm, and next to the motors they cannot give way: at 14 mm, motors of prescribed rates "
+    "push them through each other after half a turn of phase, and the run ends there; motors of "
+    "limited torque do not."
+)
+
 PAPER_CYCLE = 60.0
 """s: 10 s of bundling and 50 s of unbundling, with motors that are good to 1 rpm."""
 
@@ -137,8 +144,14 @@ def unbundling(length: studies.Length, found: Finder, output: Path) -> str:
         "slipped_turns": ".2f",
         "status": "",
     }
-    text = f"## Unbundling\n\nThe paper's cycle: 10 s bundled of {PAPER_CYCLE:g} s.\n\n"
-    return text + markdown(cycles, formats) + "\n![Unbundling](paper_unbundling.png)\n"
+    text = f"## Unbundling\n\nThe paper's cycle: 10 s bundled of {PAPER_CYCLE:g} s. {JAM}\n\n"
+    text += markdown(cycles, formats) + "\n![Unbundling](paper_unbundling.png)\n"
+    film = output / "paper_unbundling.gif"
+    if not film.exists():
+        run = studies.turn_of_phase(length)
+        run.film(film, fps=10, speed=10 * studies.TURN, begin=float(run.time[-1]) / 2)
+    text += "\nOne turn of phase at a mismatch of 1 rpm and 20 mm, with a frame for every turn of "
+    return text + f"the slower motor:\n\n![One turn of phase]({film.name})\n"
 
 
 def approach(time: np.ndarray, phase: np.ndarray) -> float:

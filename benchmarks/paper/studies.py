@@ -128,6 +128,22 @@ def unbundling(length: Length) -> list[Case]:
     return cases
 
 
+TURN = 60.0 / CHOSEN_RPM
+"""s, of the slower motor."""
+
+
+def turn_of_phase(length: Length) -> dj.Run:
+    """A run over one turn of phase, after the first, with a frame for every turn of a motor."""
+    name = "unbundling-rate-1-0-20"
+    (case,) = [case for case in unbundling(length) if case.name == name]
+    lap = 60.0 / case.of["mismatch_rpm"]
+    time = {"end": 2.0 * lap, "frame": TURN}
+    scene = dj.build(dj.SceneFile.from_dict({**case.tables, "time": time}))
+    run = dj.rollout(scene, reverse_mode=False)
+    run.raise_if_failed()
+    return run
+
+
 def synchrony(length: Length) -> list[Case]:
     """Motors of limited torque that start out of phase, on flagella of some stiffness.
 
