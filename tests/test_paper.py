@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from benchmarks.paper import local, runs, studies
+from benchmarks.paper.__main__ import MARK, parts_of
 from benchmarks.paper.claims import CLAIMS, cycle, judged
 from derjax.scenes.file import SceneFile
 
@@ -95,3 +96,13 @@ def test_the_local_model_crosses_where_it_is_known_to():
     assert local.turned(0.1)[-1] == pytest.approx(0.1 / 8, rel=5e-3)
     assert local.turned(6.5, end=8.0)[-1] < np.pi / 2 < local.turned(7.5, end=8.0)[-1]
     assert studies.PUBLISHED.number(studies.PUBLISHED_RATE) == pytest.approx(1050, rel=0.01)
+
+
+def test_a_page_keeps_the_parts_of_other_studies(tmp_path):
+    page = tmp_path / "paper.md"
+    assert parts_of(page) == {}
+    text = "# Title\n\n"
+    for name in ("pairs", "single"):
+        text += f"{MARK.format(name)}\n\n## Of {name}\n\n| a |\n\n"
+    page.write_text(text)
+    assert parts_of(page) == {name: f"## Of {name}\n\n| a |\n" for name in ("pairs", "single")}
