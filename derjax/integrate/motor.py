@@ -5,7 +5,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..core.pytree import pytree
-from ..rods.rod import State
+from ..rods.rod import Rod, State
+from ..terms.term import Prediction, Stage
 
 
 @pytree
@@ -35,6 +36,20 @@ class Motor:
     def expected_turn(self, state: State, ahead: Array) -> Float[Array, " k"]:
         """Angle (rad) by which the motors turn in some time (s) after a state."""
         return self.rotation(state.time, state.time + ahead)
+
+    def angle_after(
+        self, rod: Rod, state: State, stage: Stage, prediction: Prediction, q: Float[Array, " d"]
+    ) -> Float[Array, " k"]:
+        """rad, of the motors at the end of a stage, whatever the robot does; see `TorqueMotor`."""
+        return stage.motor_angle
+
+    def rates(self, states: State) -> Float[Array, "t k"]:
+        """rad/s, of every motor in a stack of states."""
+        return self.rate_at(states.time)
+
+    def angles(self, states: State) -> Float[Array, "t k"]:
+        """rad, that every motor has turned up to each of a stack of states."""
+        return jax.vmap(self.rotation, (None, 0))(jnp.zeros(()), states.time)
 
     def rotation(self, start: Array, end: Array) -> Float[Array, " k"]:
         """Angle (rad) turned between two times (s), exactly for the piecewise linear rate."""

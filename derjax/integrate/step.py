@@ -298,9 +298,9 @@ def motor_angle(
         prediction: of the step.
         q: (d,) m and rad, its solution.
     """
-    if isinstance(scene.motor, TorqueMotor):
-        return scene.motor.angle(scene.rod, state, stage, prediction, q)
-    return stage.motor_angle
+    if scene.motor is None:
+        return stage.motor_angle
+    return scene.motor.angle_after(scene.rod, state, stage, prediction, q)
 
 
 def solve(

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..core.pytree import pytree, replace, static
-from ..integrate.motor import Motor
 from ..integrate.step import Scene, acting_terms, motor_rotation, moving_stage
 from ..rods.kinematics import positions, tangents
 from ..rods.rod import State
@@ -78,9 +77,7 @@ def motor_rates(scene: Scene, states: State) -> Float[Array, "t k"]:
         scene: whose motors.
         states: with a leading axis of time.
     """
-    if isinstance(scene.motor, Motor):
-        return scene.motor.rate_at(states.time)
-    return states.motor_rate
+    return states.motor_rate if scene.motor is None else scene.motor.rates(states)
 
 
 def motor_angles(scene: Scene, states: State) -> Float[Array, "t k"]:
@@ -90,9 +87,7 @@ def motor_angles(scene: Scene, states: State) -> Float[Array, "t k"]:
         scene: whose motors.
         states: with a leading axis of time.
     """
-    if isinstance(scene.motor, Motor):
-        return jax.vmap(scene.motor.rotation, (None, 0))(jnp.zeros(()), states.time)
-    return states.motor_angle + 2 * jnp.pi * states.motor_turns
+    return states.motor_angle if scene.motor is None else scene.motor.angles(states)
 
 
 def potential(scene: Scene, state: State, length: float | Array) -> Potential:

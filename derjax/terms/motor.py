@@ -185,7 +185,15 @@ class TorqueMotor(Term):
         frames = _at_motors(rod, state, stage)
         return Elements(stencil, HingePotential(hinge_energy), (frames, (cache, drive)))
 
-    def angle(
+    def rates(self, states: State) -> Float[Array, "t k"]:
+        """rad/s, of every motor in a stack of states."""
+        return states.motor_rate
+
+    def angles(self, states: State) -> Float[Array, "t k"]:
+        """rad, that every motor has turned up to each of a stack of states."""
+        return states.motor_angle + 2 * jnp.pi * states.motor_turns
+
+    def angle_after(
         self, rod: Rod, state: State, stage: Stage, prediction: Prediction, q: Float[Array, " d"]
     ) -> Float[Array, " k"]:
         """rad, of every shaft at the end of a stage.
