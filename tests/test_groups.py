@@ -26,6 +26,48 @@ TABLES = {
 }
 
 
+@pytest.mark.parametrize("kind", ["single_flagellum", "two_flagella"])
+def test_groups_in_place_of_keys(kind):
+    """What a scene says of itself makes it again, at its own size and at another."""
+    robot = {"kind": kind, "pitch": 0.04, "helix_radius": 7e-3, "rod_radius": 1.4e-3}
+    first = SceneFile.from_dict({"robot": robot, "motor": {"rpm": -45.0}})
+    given = groups(first) | {"omega_bar": -groups(first)["omega_bar"]}
+    again = SceneFile.from_dict({"robot": {"kind": kind}, "nondimensional": given})
+    for name, value in first.parameters.items():
+        np.testing.assert_allclose(again.parameters[name], value, rtol=1e-12, err_msg=name)
+    small = {"kind": kind, "axial_length": 1e-5, "edge_length": 5e-7}
+    fluid = {"viscosity": 1e-3}
+    tables = {"robot": small, "fluid": fluid, "material": {"youngs_modulus": 1e7}}
+    bacterium = SceneFile.from_dict(tables | {"nondimensional": given})
+    assert groups(bacterium) == pytest.approx(groups(first), rel=1e-12)
+    assert "nondimensional" not in bacterium.model_dump()
+
+
+@pytest.mark.parametrize(
+    ("tables", "says"),
+    [
+        ({"nondimensional": {"omegabar": 1.0}}, r"\[nondimensional\] omegabar: unknown key"),
+        ({"nondimensional": {"omega_bar": "fast"}}, r"\[nondimensional\] omega_bar = \"fast\""),
+        ({"nondimensional": 3}, r"\[nondimensional\]: should be a table"),
+        (
+            {"robot": {"pitch": 0.03}, "nondimensional": {"pitch_over_radius": 5.0}},
+            r"pitch_over_radius: is given by \[robot\] pitch as well",
+        ),
+        (
+            {"motor": {"stall_torque": 1e-4}, "nondimensional": {"omega_bar": 80.0}},
+            r"omega_bar: is for motors of one constant rate; leave it or .* stall_torque out",
+        ),
+        (
+            {"robot": {"axial_length": "long"}, "nondimensional": {"omega_bar": 80.0}},
+            r"\[robot\] axial_length = \"long\"",
+        ),
+    ],
+)
+def test_wrong_groups(tables, says):
+    with pytest.raises(dj.InputError, match=says):
+        SceneFile.from_dict(tables)
+
+
 def test_every_number_with_a_unit_is_known():
     """A key that is new has to say what its unit is, or rescaling would leave it out."""
     numbers = set()

@@ -4,7 +4,7 @@ A scene file says what a robot is and how it is simulated. Every table may be le
 """
 
 from collections.abc import Iterable, Mapping
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +19,7 @@ from pydantic import (
 
 from ..core.errors import InputError
 from ..io.fields import Table
+from .dimensionless import TABLE, GroupsTable, dimensional
 from .extensions import Extension, extension, extension_names
 from .ingredients import (
     INGREDIENTS,
@@ -42,6 +43,8 @@ from .parameters import EACH, completed, index_of, place_of
 from .plausibility import check_density, check_modulus, check_regularization, check_torque
 from .timing import TimeGrid, time_grid
 
+T = TypeVar("T", bound=Table)
+
 
 class SceneFile(Table):
     """A whole scene. Hashable; its numbers are also available as `parameters`."""
@@ -58,6 +61,15 @@ class SceneFile(Table):
     solver: SolverTable = SolverTable()
     motor_table: RateTable | None = Field(default=None, exclude=True)
     extensions: tuple[tuple[str, Extension], ...] = Field(default=(), exclude=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _dimensional(cls, content: Any) -> Any:
+        """With keys in place of the groups that they follow from."""
+        if not isinstance(content, Mapping) or TABLE not in content:
+            return content
+        rest = {name: table for name, table in content.items() if name != TABLE}
+        return dimensional(rest, _named(TABLE, GroupsTable, content[TABLE]))
 
     @model_validator(mode="before")
     @classmethod
@@ -402,12 +414,15 @@ def _with_one(given: Any, count: int, place: int, value: Any) -> Any:
 
 def _extension(name: str, content: Any) -> Extension:
     """The table of an extension, checked; `InputError` names table and key."""
-    if isinstance(content, Extension):
-        return content
+    return content if isinstance(content, Extension) else _named(name, extension(name), content)
+
+
+def _named(name: str, kind: type[T], content: Any) -> T:
+    """A table that is checked by itself; `InputError` names it and the key."""
     if not isinstance(content, Mapping):
         raise InputError(f"[{name}]: should be a table")
     try:
-        return checked(extension(name), content)
+        return checked(kind, content)
     except InputError as error:
         said = str(error).splitlines()
         raise InputError(
