@@ -49,7 +49,7 @@ WHOLE = Length(
     moduli=(0.3e6, 0.6e6, 1.255e6, 2.5e6, 5e6, 20e6),
     synchrony=120.0,
     conditions=True,
-    wrapping={2: 100.0, 3: 50.0, 5: 25.0},
+    wrapping={2: 40.0, 3: 20.0, 5: 8.0},
     winding=200.0,
     numbers=(3.5, 5.0, 7.0, 10.0, 14.0, 28.0, 56.0, 100.0, 200.0, 400.0),
 )
