@@ -191,7 +191,13 @@ def synchrony(length: studies.Length, found: Finder, output: Path) -> str:
     rates = pd.DataFrame(rows)
     _save(figures.synchrony(results, rates), output, "synchrony")
     rates.to_csv(output / "paper_synchrony.csv", index=False, float_format="%.6g")
-    text = "## Synchronisation\n\nRate: at which the difference of phase decays, 1/s.\n\n"
+    text = "## Synchronisation\n\nRate: at which the difference of phase decays, 1/s. "
+    closer = np.abs(rates["phase_at_end"]) < rates["phase_at_start"]
+    text += f"Towards phase zero go {closer.sum()} of {len(rates)} pairs; "
+    mean = rates.groupby("youngs_modulus")["rate"].mean()
+    fastest = mean.index[mean.argmax()]
+    text += f"the fastest are those of {fastest / 1e6:g} MPa"
+    text += ", the softest that were tried.\n\n" if fastest == mean.index[0] else ".\n\n"
     return text + shown(rates, *rates.columns) + "\n![Synchronisation](paper_synchrony.png)\n"
 
 
@@ -234,10 +240,20 @@ def winding(length: studies.Length, found: Finder, output: Path) -> str:
     _save(figures.winding(rows, model), output, "winding")
     rows.to_csv(output / "paper_winding.csv", index=False, float_format="%.6g")
     text = "## Crossing and wrapping\n\nTwo of the published filaments at other rates, against the "
-    text += (
-        "local model (`benchmarks/paper/local.py`); half turns of the tips about each other.\n\n"
-    )
+    text += "local model (`benchmarks/paper/local.py`); half turns of the tips about each other.\n"
+    few = rows["turned"].iloc[0] / (rows["Bu"].iloc[0] / 8 / np.pi)
+    text += f"While they are few, those that are simulated are {few:.2f} of Bu / 8; "
+    text += f"half a turn is reached at Bu = {first_at(rows, 1.0):.0f} (local model: 7).\n\n"
     return text + shown(rows, *rows.columns) + "\n![Turn of the tips](paper_winding.png)\n"
+
+
+def first_at(rows: pd.DataFrame, turned: float) -> float:
+    """Bu at which the tips have turned so far (half turns); NaN if they do not."""
+    far = rows[rows["turned"] >= turned]
+    if far.empty or far.index[0] == 0:
+        return float("nan")
+    pair = rows.loc[far.index[0] - 1 : far.index[0]]
+    return float(np.exp(np.interp(turned, pair["turned"], np.log(pair["Bu"]))))
 
 
 def half_turns(angle: np.ndarray) -> float:
