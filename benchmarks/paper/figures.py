@@ -109,7 +109,8 @@ def unbundling(results: dict[str, Result], cycles: pd.DataFrame) -> plt.Figure:
         axes[0].plot(result.series["time"], 100 * smooth, lw=1, label=label)
     axes[0].set(xlabel="time (s)", ylabel="bundled part (%), mean of 2 s")
     axes[0].legend(fontsize=7, frameon=False)
-    for (kind, friction), part in cycles.groupby(["motor", "friction"]):
+    ordered = cycles.sort_values("mismatch_rpm")
+    for (kind, friction), part in ordered.groupby(["motor", "friction"]):
         for separation, some in part.groupby("separation_mm"):
             axes[1].plot(
                 some["mismatch_rpm"],
