@@ -27,6 +27,8 @@ from . import studies
 from .pages import STUDIES
 from .runs import Case, Result, results_of
 
+SHORT = "Runs are so short here that transients count: verdicts may be others than of the whole."
+
 MARK = "<!-- study: {} -->"
 """What stands before the part of a study in the page."""
 
@@ -69,6 +71,7 @@ def main() -> None:
             print(parts[name], flush=True)
             command = "python -m benchmarks.paper" + " --quick" * arguments.quick
             text = f"# The paper, claim by claim\n\n`{command}`\n"
+            text += f"\n{SHORT}\n" * arguments.quick
             text += "".join(f"\n{MARK.format(n)}\n\n{parts[n]}" for n in STUDIES if n in parts)
             page.write_text(text, encoding="utf-8")
 

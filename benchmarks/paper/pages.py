@@ -154,9 +154,11 @@ def unbundling(length: studies.Length, found: Finder, output: Path) -> str:
     cycles.to_csv(output / "paper_unbundling.csv", index=False, float_format="%.6g")
     text = f"## Unbundling\n\nThe paper's cycle: 10 s bundled of {PAPER_CYCLE:g} s. {JAM}\n\n"
     text += shown(cycles, *cycles.columns[1:]) + "\n![Unbundling](paper_unbundling.png)\n"
+    if length is not studies.WHOLE:
+        return text
     film = output / "paper_unbundling.gif"
     if not film.exists():
-        run = studies.turn_of_phase(length)
+        run = studies.turn_of_phase()
         run.film(film, fps=10, speed=10 * studies.TURN, begin=float(run.time[-1]) / 2)
     text += "\nOne turn of phase at a mismatch of 1 rpm and 20 mm, with a frame for every turn of "
     return text + f"the slower motor:\n\n![One turn of phase]({film.name})\n"

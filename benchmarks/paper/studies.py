@@ -56,8 +56,8 @@ WHOLE = Length(
 QUICK = Length(
     end=20.0,
     rates=(50,),
-    unbundling=130.0,
-    mismatches=(1.0,),
+    unbundling=100.0,
+    mismatches=(2.0,),
     frictions=(0.0,),
     separations=(20e-3,),
     phases=(1.5,),
@@ -132,10 +132,10 @@ TURN = 60.0 / CHOSEN_RPM
 """s, of the slower motor."""
 
 
-def turn_of_phase(length: Length) -> dj.Run:
-    """A run over one turn of phase, after the first, with a frame for every turn of a motor."""
+def turn_of_phase() -> dj.Run:
+    """A run over two turns of phase, with a frame for every turn of the slower motor."""
     name = "unbundling-rate-1-0-20"
-    (case,) = [case for case in unbundling(length) if case.name == name]
+    (case,) = [case for case in unbundling(WHOLE) if case.name == name]
     lap = 60.0 / case.of["mismatch_rpm"]
     time = {"end": 2.0 * lap, "frame": TURN}
     scene = dj.build(dj.SceneFile.from_dict({**case.tables, "time": time}))
