@@ -164,7 +164,7 @@ def minimise(
             trial = evaluate(free + step)
             actual = -np.inf if trial is None else loss - trial.residuals.loss()
             accepted = bool(actual > 0)
-            stretch = _stretched(stretch, -stretch * float(r @ effect), actual)
+            stretch = _stretched(-stretch * float(r @ effect), promised, actual)
             if accepted and trial is not None:
                 free, best = free + step, trial
                 ratio = min(actual / promised, 1.0) if promised > 0 else 1.0
@@ -178,18 +178,22 @@ def minimise(
         return ended("interrupted")
 
 
-def _stretched(stretch: float, fall: float, gain: float) -> float:
-    """By how much to lengthen the next step: to where a parabola is lowest.
+def _stretched(fall: float, promised: float, gain: float) -> float:
+    """By how much to lengthen the next full step: to where the loss is lowest, if it is a parabola.
+
+    What a step gains less than the loss would have fallen along its tangent is due to curvature:
+    what is lost of it less than was promised, the parabola is flatter, and its minimum further.
 
     Args:
-        stretch: of this step.
         fall: of the loss if it had gone on as it began.
-        gain: by how much the loss has fallen.
+        promised: by how much residuals that are linear would have let it fall, with the noise
+            that they leave.
+        gain: by how much it has fallen.
     """
-    if not np.isfinite(gain) or gain <= 0 or fall <= 0:
+    if not np.isfinite(gain) or gain <= 0 or promised >= fall:
         return 1.0
-    best = fall / max(2.0 * (fall - gain), fall / (2.0 * LONGEST_STRETCH))
-    return float(np.clip(stretch * best, 1.0, LONGEST_STRETCH))
+    flatter = (fall - promised) / max(fall - gain, (fall - promised) / LONGEST_STRETCH)
+    return float(np.clip(flatter, 1.0, LONGEST_STRETCH))
 
 
 def _newton(residuals: Residuals) -> tuple[Float[np.ndarray, " p"], float]:

@@ -188,3 +188,20 @@ def test_convergence_does_not_depend_on_units(scale: tuple[float, ...]) -> None:
     assert len(found.history) == len(expected.history)
     for one, other in zip(found.history, expected.history, strict=True):
         assert one.loss == pytest.approx(other.loss, rel=1e-6)
+
+
+def test_a_valley_that_is_flatter_than_least_squares_think_costs_little() -> None:
+    """Half of x^2 + (x^2 / 2 - 0.9)^2: its curvature is a tenth of what the Jacobian says.
+
+    Steps of Gauss and Newton would go a tenth of the way each, and need 88 for this accuracy.
+    """
+
+    def flat(free: np.ndarray) -> Evaluation[None]:
+        (x,) = free
+        return trial_of(np.array([x, 0.5 * x**2 - 0.9]), np.array([[1.0], [x]]))
+
+    found = minimise(flat, np.array([0.3]), gain_tolerance=0.0, step_tolerance=3e-6)
+    assert found is not None
+    assert found.status == "converged"
+    assert abs(found.free[0]) < 1e-4
+    assert len(found.history) < 30
