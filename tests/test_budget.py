@@ -22,7 +22,7 @@ LARGER: dict[str, tuple[float, str]] = {
     "test_equilibrium.py": (85.0, "rods under four kinds of load, each a program of its own"),
     "test_torque_motor.py": (110.0, "every kind of motor and robot is a program of its own"),
     "test_readme.py": (110.0, "the calibration that README promises, on its own mesh"),
-    "fitting/test_joint.py": (170.0, "two robots and every kind of nuisance, each a program"),
+    "fitting/test_joint.py": (130.0, "two robots and every kind of nuisance, each a program"),
     "fitting/test_orbit_gaits.py": (80.0, "derivatives of orbits, and a posterior over them"),
     "fitting/test_design.py": (240.0, "derivatives of steady states, runs and eigenvalues"),
     "test_notebooks.py": (
