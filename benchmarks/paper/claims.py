@@ -44,8 +44,8 @@ CLAIMS = (
         "7: partial bundle",
         BUNDLED,
         lambda v: 0.02 < v[7] < BUNDLE,
-        "attraction by the flow is some 8 pi mu w a^2 L^4 / (EI h^2 ln(h/a)): enough to cross "
-        "(7), not to wrap (80 and more)",
+        "Bu = 8 pi mu w a^2 L^4 / (EI h^2 ln(h / 2 r_0)) is 13 to 56: enough for a part of half a "
+        "turn, which takes 214 (see Crossing and wrapping)",
     ),
     Claim("9: no bundle", BUNDLED, lambda v: v[9] < 0.02, "as above, with stiffer helices"),
     Claim(
