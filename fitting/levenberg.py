@@ -105,7 +105,7 @@ def minimise(
     Args:
         evaluate: the model at a free vector; None where it cannot be computed: such a step is
             rejected.
-        start: (p,) free vector.
+        start: (p,) free vector; with none there is nothing to search.
         max_iterations: accepted and rejected steps.
         step_tolerance: also converged is a search whose next full step, neither damped nor
             shortened, would change no free parameter by more than this.
@@ -143,6 +143,8 @@ def minimise(
 
     try:
         note(True)
+        if not free.size:
+            return ended("converged")
         while True:
             if is_lost(free, best.residuals):
                 return ended("diverged")

@@ -190,6 +190,13 @@ def test_convergence_does_not_depend_on_units(scale: tuple[float, ...]) -> None:
         assert one.loss == pytest.approx(other.loss, rel=1e-6)
 
 
+def test_without_parameters_there_is_nothing_to_search() -> None:
+    found = minimise(lambda free: trial_of(np.ones(3), np.zeros((3, 0))), np.zeros(0))
+    assert found is not None
+    assert found.status == "converged"
+    assert found.loss == pytest.approx(1.5)
+
+
 def test_a_valley_that_is_flatter_than_least_squares_think_costs_little() -> None:
     """Half of x^2 + (x^2 / 2 - 0.9)^2: its curvature is a tenth of what the Jacobian says.
 

@@ -73,6 +73,16 @@ def test_posterior_and_covariance_agree_where_the_model_is_linear(linear, drawn)
         assert drawn.mean()[name] == pytest.approx(e.value, abs=0.15 * e.std)
 
 
+def test_a_profile_of_the_only_parameter(scene) -> None:
+    """Nothing that costs a simulation is left to search."""
+    known = scene.model_copy(update={"head": scene.head.model_copy(update={"C_r": 0.36})})
+    fit, solved = calibrate_jointly(Dataset(known, (), rates=(rates(known, 0.003),)), ("C_t",))
+    assert fit.goodness.good
+    (one,) = profiles(solved)
+    e = fit.estimates["C_t"]
+    assert one.ci95 == pytest.approx(e.ci95, abs=0.1 * e.std)
+
+
 def test_a_profile_is_no_parabola_where_the_model_is_not_linear(scene) -> None:
     """Speeds known to 30 %: the loss hardly rises to one side, and the interval is longer there."""
     _, solved = calibrate_jointly(Dataset(scene, (), rates=(rates(scene, 0.3, 3),)))
