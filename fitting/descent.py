@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from derjax import SolverError
 
-from .observe import exposed, interpolation, looked_at
+from .observe import exposed, interpolation, steps_until
 from .simulate import motor_rate, simulate
 from .tracks import Dataset, Run
 from .transforms import Parameters
@@ -108,8 +108,7 @@ def track_loss(
     def objective(free: Float[Array, " p"]) -> tuple[Array, Array]:
         total, count, status = jnp.zeros(()), 0, jnp.zeros((), jnp.int32)
         for run in chosen:
-            instants = looked_at(run.time, run.exposure).ravel()
-            n_steps = interpolation(instants, step).n_steps
+            n_steps = steps_until(run.time, run.exposure, step)
             rate = motor_rate(dataset.scene, run)
             observed, report = simulate(dataset.scene, parameters, free, rate, n_steps, run.sight)
 

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from derjax import Status
 
 from .levenberg import Evaluation
-from .observe import exposed, interpolation, looked_at
+from .observe import exposed, interpolation, steps_until
 from .residuals import Predicted, residuals
 from .screw import Motion, extended, is_steady
 from .simulate import SimulatedTrack, Simulator, motor_rate, steps_per_call
@@ -68,7 +68,7 @@ class Model:
         self.dataset, self.parameters = dataset, parameters
         self.step = dataset.scene.step
         self.rates = [motor_rate(dataset.scene, run) for run in dataset.runs]
-        self.steps = [_n_steps(run, self.step) for run in dataset.runs]
+        self.steps = [steps_until(run.time, run.exposure, self.step) for run in dataset.runs]
         self.simulator = Simulator(
             dataset.scene, parameters, steps_per_call(max(self.steps)), dataset.sight
         )
@@ -199,11 +199,6 @@ def predict(run: Run, simulated: SimulatedTrack, step: float, period: float | No
             columns.append((ends[1] - ends[0]) / (2 * SMALL))
         return extended(simulated.motion, step, period, time), np.stack(columns, axis=-1)
 
-    whole = _n_steps(run, step) < len(simulated.time)
+    whole = steps_until(run.time, run.exposure, step) < len(simulated.time)
     seen = exposed(simulated_at if whole else continued_at, run.time, run.exposure)
     return Predicted(*seen)
-
-
-def _n_steps(run: Run, step: float) -> int:
-    """Steps that have to be simulated."""
-    return interpolation(looked_at(run.time, run.exposure).ravel(), step).n_steps

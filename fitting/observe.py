@@ -106,6 +106,11 @@ def looked_at(time: Float[np.ndarray, " f"], exposure: float) -> Float[np.ndarra
     return time + (INSTANTS[:, None] * exposure if exposure else np.zeros((1, 1)))
 
 
+def steps_until(time: Float[np.ndarray, " f"], exposure: float, step: float) -> int:
+    """Steps of some length (s) that have to be simulated for a camera to see all its frames."""
+    return interpolation(looked_at(time, exposure).ravel(), step).n_steps
+
+
 def exposed(at: Callable[[np.ndarray], Any], time: Float[np.ndarray, " f"], exposure: float) -> Any:
     """What a camera sees whose shutter is open for a while: the mean over that.
 

@@ -164,7 +164,8 @@ class Problem:
                 ) -> tuple[np.ndarray, np.ndarray]:
                     time = np.maximum(run.time + seconds, 0.0)
                     if period is None:
-                        time = np.minimum(time, step * (len(simulated.time) - 3))
+                        last = step * (len(simulated.time) - 3) - 0.5 * run.exposure
+                        time = np.minimum(time, last)
                     seen = predict(replace(run, time=time), simulated, step, period)
                     return seen.observed, seen.sensitivity
 
