@@ -197,3 +197,13 @@ def test_the_version_is_the_same_everywhere():
     assert cited
     assert changed
     assert cited[1] == changed[1] == project["version"]
+
+
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *ROOT.glob("*/README.md")])
+NAMED = re.compile(r"`((?:derjax|fitting|benchmarks|tests|docs|data|notebooks)/[\w./]*\w)`")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_files_that_pages_name_are_there(page):
+    named = NAMED.findall(page.read_text(encoding="utf-8"))
+    assert not [path for path in named if not (ROOT / path).exists()]

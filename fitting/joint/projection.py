@@ -57,7 +57,7 @@ class Projection:
         self.cheap: Bool[np.ndarray, " p"] = ~problem.dear & ~held
         self.start = np.array(start, float)
         self.known: dict[bytes, Followed] = {}
-        self._last: Followed | None = None
+        self._best: Followed | None = None
 
     def at(self, dear: Free) -> Followed:
         """A point of the search that has been evaluated."""
@@ -70,17 +70,20 @@ class Projection:
             KeyboardInterrupt: also while the others are sought.
         """
         free = self.start.copy()
-        if (last := self._last) is not None:
-            free = last.free.copy()
-            free[self.cheap] += last.follow @ (dear - last.free[self.dear])
+        if (best := self._best) is not None:
+            free = best.free.copy()
+            free[self.cheap] += best.follow @ (dear - best.free[self.dear])
         free[self.dear] = dear
         trial = self.problem.evaluate(free, self.whole)
         if trial is None:
             return None
         free, trial = self._settled(free, trial)
         residuals, follow = projected(trial.residuals, self.dear, self.cheap)
-        self._last = Followed(free, trial, follow)
-        self.known[np.asarray(dear, float).tobytes()] = self._last
+        here = Followed(free, trial, follow)
+        self.known[np.asarray(dear, float).tobytes()] = here
+        # A search goes on from the best of its points; one that it rejects may lie far away.
+        if best is None or trial.residuals.loss() < best.trial.residuals.loss():
+            self._best = here
         return Evaluation(residuals, trial.model)
 
     def _settled(self, free: Free, trial: Evaluation[Point]) -> tuple[Free, Evaluation[Point]]:
