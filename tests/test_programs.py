@@ -93,6 +93,18 @@ def test_a_second_process_traces_nothing_and_gets_the_same_bits(kept):
     assert len(TRACED) == 1
 
 
+def further(x: jax.Array) -> jax.Array:
+    return x + 1.0
+
+
+def test_what_comes_out_of_a_program_goes_into_the_same_one(kept, caplog):
+    """It belongs to the device already, which compiles apart unless it is said of all."""
+    function = stored(further)
+    with jax.log_compiles(), caplog.at_level("WARNING"):
+        same(function(function(jnp.zeros(3))), jnp.full(3, 2.0))
+    assert sum("Compiling jit(further)" in r.message for r in caplog.records) == 1
+
+
 def test_other_numbers_share_a_program(kept):
     process()(*arguments())
     other = arguments(first=jnp.array([4.0, 5.0, 6.0]))
@@ -315,6 +327,7 @@ def run(program: str, directory: Path, output: str, scene: str = SCENE) -> tuple
         return trajectory.load(), done.stderr
 
 
+@pytest.mark.slow
 def test_a_command_traces_nothing_twice(tmp_path):
     """Its results are those of a process that keeps no programs, bit by bit.
 

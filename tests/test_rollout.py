@@ -53,6 +53,31 @@ def test_a_rollout_continues_another():
     assert int(full.iterations) == int(report.iterations)
 
 
+ROBOTS = {
+    "one": {},
+    "two": {"robot": {"kind": "two_flagella"}},
+    "limited torque": {"motor": {"stall_torque": 3e-4, "free_rpm": 100.0}},
+    "second order": {"time": {"scheme": "trbdf2"}},
+}
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_a_run_goes_on_in_the_program_that_it_began_in(name):
+    """What comes out has the types of what goes in, weak ones included."""
+    scene = derjax.build(SceneFile.model_validate(ROBOTS[name]))
+    given = scene.start, new_stats()
+
+    def gone_on():
+        states, report = derjax.march_frames(scene, given[0], 1, 1, given[1])
+        return jax.tree.map(lambda leaf: leaf[0], states), report
+
+    kinds = [
+        [(x.shape, x.dtype, x.weak_type) for x in jax.tree.leaves(jax.eval_shape(f))]
+        for f in (lambda: given, gone_on)
+    ]
+    assert kinds[0] == kinds[1]
+
+
 def test_a_step_is_traced_once_for_all_programs():
     """And for all loops and derivatives that take it: tracing is what compiling costs first."""
     traced = []

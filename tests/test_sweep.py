@@ -20,7 +20,7 @@ from derjax.commands.main import main
 from derjax.core.errors import InputError
 from derjax.runs import turns
 from derjax.runs.sweeps import dask as farm
-from derjax.runs.sweeps import points
+from derjax.runs.sweeps import marching, points
 from derjax.runs.sweeps import sweep as sweeps
 from derjax.runs.sweeps.figure import figure
 from derjax.runs.sweeps.file import PLACES, _fields, load_sweep
@@ -111,6 +111,14 @@ def test_a_sweep_writes_a_table_a_figure_and_trajectories(finished):
         assert trajectory.attrs["rpm"] == 40
         assert trajectory.sizes["time"] == 5
         assert json.loads(trajectory.attrs["scene_json"])["head"]["C_t"] == 4.8
+
+
+def test_points_with_more_frames_share_the_program():
+    """Frames are some for a turn of the motor, so that slower ones have more of them."""
+    lengths = {
+        marching._piece(SceneFile.from_dict({"time": {"end": end}}))[0] for end in (4, 16, 20)
+    }
+    assert len(lengths) == 1
 
 
 def test_a_point_is_what_simulate_makes_of_it(finished, tmp_path):
@@ -270,6 +278,7 @@ def test_a_breakdown_is_that_of_one_point(directory, monkeypatch):
     assert outcomes[1].row["message"] == "MemoryError: no more"
 
 
+@pytest.mark.slow
 def test_lists_of_contacts_grow():
     """A point with too short a list is computed again, with a longer one."""
     filaments = {"kind": "clamped", "n_flagella": 2, "shape": "straight", "separation": 0.0034}
@@ -458,6 +467,7 @@ def test_workers_of_a_scheduler(directory, finished, monkeypatch):
     assert_close(table(directory / "out"), table(finished / "out"))
 
 
+@pytest.mark.slow
 def test_a_lost_worker_is_replaced(directory, finished):
     """The chunk that killed its process is computed by another one."""
     program = f"""

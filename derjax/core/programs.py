@@ -34,6 +34,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from jax.core import Tracer
+from jax.sharding import SingleDeviceSharding
 
 from .fingerprint import Unknown, described, leaves_described
 
@@ -149,7 +150,11 @@ class Stored:
             return exported.call(*flat)
 
         call.__name__ = self._function.__name__
-        return _Program(jax.jit(call), jax.tree.structure(result))
+        # What it returns belongs to the device, what a caller makes need not: said for all, as one
+        # program would else be compiled for each mixture of both.
+        here = SingleDeviceSharding(jax.devices()[0])
+        compiled = jax.jit(call, in_shardings=here, out_shardings=here)
+        return _Program(compiled, jax.tree.structure(result))
 
     def _key(self, args: Sequence[Any], leaves: Sequence[Any], packages: frozenset[str]) -> str:
         """A digest of all that a program follows from; `Unknown` if that cannot be said."""

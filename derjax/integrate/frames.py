@@ -65,7 +65,9 @@ def new_stats() -> RolloutStats:
     """The statistics of a run that has not begun."""
     count = jnp.zeros((), jnp.int32)
     nothing = jnp.zeros(())
-    return RolloutStats(count, jnp.array(jnp.nan), count, count, count, nothing, count, nothing)
+    # Types that are not weak, as those of a run that has begun: one program serves for both.
+    never = jnp.array(jnp.nan, float)
+    return RolloutStats(count, never, count, count, count, nothing, count, nothing)
 
 
 @pytree

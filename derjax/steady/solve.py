@@ -326,7 +326,7 @@ def newton(
 
     zero, no = jnp.zeros((), jnp.int32), jnp.array(False)
     nothing = jnp.zeros((guess.size, guess.size))
-    infinite = jnp.array(jnp.inf)
+    infinite = jnp.array(jnp.inf, float)
     start = _Iterate(guess, guess, infinite, guess, nothing, no, zero, zero - 1, no)
     return lax.while_loop(going, step, start)
 

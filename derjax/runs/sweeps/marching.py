@@ -16,8 +16,9 @@ from ...scenes.file import SceneFile
 from ..batch import advance, all_runs, pick, repeat, shard
 from ..turns import program, takes_turns
 
-PIECES = 8
-"""In which runs are computed, at most, to see how far they have come and to stop them."""
+MOST_FRAMES = 10
+"""Of a piece: runs are computed in pieces, to see how far they have come and to stop them. Not a
+part of the run, as points that have more frames than others would need a program of their own."""
 
 
 def prepare(scenes: Scene, states: State, file: SceneFile, slots: int) -> None:
@@ -33,9 +34,8 @@ def prepare(scenes: Scene, states: State, file: SceneFile, slots: int) -> None:
 
 def _piece(file: SceneFile) -> tuple[int, int]:
     """Frames of a piece of a run, and steps of a frame."""
-    n_frames = file.n_frames
-    pieces = max(k for k in range(1, PIECES + 1) if n_frames % k == 0)
-    return n_frames // pieces, file.steps_per_frame
+    frames = max(k for k in range(1, MOST_FRAMES + 1) if file.n_frames % k == 0)
+    return frames, file.steps_per_frame
 
 
 def march(
