@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 from derjax.core.programs import keep_in
-from derjax.core.runtime import collect_garbage_rarely
+from derjax.core.runtime import collect_garbage_rarely, use_this_process
 
 QUICKLY_COMPILED = os.environ.get("JAX_DISABLE_MOST_OPTIMIZATIONS") == "1"
 """Asked for here, as JAX may have been imported before."""
@@ -44,6 +44,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Keep compiled programs from one run of the tests to the next, and files in our order."""
+    if config.getoption("--store-durations") and config.option.markexpr != "not slow":
+        raise pytest.UsageError("what is stored is what `pytest` takes without -m")
     if config.getoption("--store-durations") and not hasattr(config, "workerinput"):
         config.stash[EMPTY] = TemporaryDirectory(ignore_cleanup_errors=True)
         # Workers, and processes that tests start, are told by this, too.
@@ -60,8 +62,14 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Before fixtures of the whole session compile anything for a file, too."""
+def pytest_runtest_setup(item: pytest.Function) -> None:
+    """Before fixtures of the whole session compile anything for a file, too.
+
+    A command that a test runs in this process keeps programs from then on, and what is kept is
+    compiled apart from what was made before: where there are commands, all is kept.
+    """
+    if hasattr(item.module, "main"):
+        use_this_process()
     quickly = QUICKLY_COMPILED and item.get_closest_marker("optimised") is None
     jax.config.update("jax_disable_most_optimizations", quickly)
 
@@ -131,11 +139,7 @@ def rng() -> np.random.Generator:
 
 @pytest.fixture(scope="module", autouse=True)
 def _programs_of_one_file() -> Iterator[None]:
-    """Drop compiled programs after every file: a process can only hold so many of them.
-
-    A command that a test has run in this process keeps programs from then on, and what those
-    make compiles apart from what was made before.
-    """
+    """Drop compiled programs after every file: a process can only hold so many of them."""
     yield
     jax.clear_caches()
     keep_in(None)

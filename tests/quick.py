@@ -17,8 +17,11 @@ compile are marked `optimised`."""
 if version("jaxlib").startswith("0.10."):
     # LLVM has less to do with what the older emitter of fused loops writes: half the time of
     # a compilation. XLA ends a process with a flag that it does not know, and other versions
-    # of it have not been asked.
-    QUICKLY["XLA_FLAGS"] = "--xla_cpu_use_fusion_emitters=false"
+    # of it have not been asked. Pieces of a program for threads cost more than they save where
+    # other tests run.
+    QUICKLY["XLA_FLAGS"] = (
+        "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
+    )
 
 
 def environment() -> dict[str, str]:

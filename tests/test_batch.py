@@ -83,7 +83,9 @@ def test_scenes_built_together_are_those_built_alone():
         )
 
 
-@pytest.mark.parametrize("lanes", [None, 2, ALL])
+@pytest.mark.parametrize(
+    "lanes", [None, *(pytest.param(n, marks=pytest.mark.slow) for n in (2, ALL))]
+)
 def test_runs_of_a_batch_are_those_alone(singles, lanes):
     assert_same(march_many(*scenes_and_states(), N_FRAMES, STEPS, lanes=lanes), singles)
 
@@ -148,6 +150,7 @@ def test_a_failed_run_does_not_disturb_the_others(singles):
     assert_same(pick((frames, reports), np.array(good)), [singles[k] for k in good])
 
 
+@pytest.mark.slow
 def test_a_batch_goes_on_where_it_stopped(singles):
     started = shard(*scenes_and_states())
     parts = []
@@ -161,6 +164,7 @@ def test_a_batch_goes_on_where_it_stopped(singles):
     np.testing.assert_array_equal(reports.steps, [int(r.steps) for _, r in singles])
 
 
+@pytest.mark.slow
 def test_derivatives_of_a_batch():
     """Reverse and forward mode work under `vmap`, and agree."""
     file = SceneFile.model_validate(
@@ -237,6 +241,7 @@ def finished(process: subprocess.Popen) -> dict[str, Any]:
     return json.loads(next(line for line in out.splitlines() if line.startswith("{")))
 
 
+@pytest.mark.slow
 def test_two_devices(singles):
     found = finished(start(2))
     assert (found["devices"], found["kept"]) == (2, 2)
@@ -246,6 +251,7 @@ def test_two_devices(singles):
     assert found["own"] == found["all"]
 
 
+@pytest.mark.slow
 def test_two_processes(singles):
     """Each computes its own runs; all of them can be had everywhere."""
     import socket

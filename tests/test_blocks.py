@@ -33,6 +33,10 @@ ROBOTS: dict[str, dict[str, Any]] = {
     "clamped": {"kind": "clamped", "n_flagella": 2, "edge_length": 16e-3},
 }
 every_robot = pytest.mark.parametrize("name", ROBOTS)
+a_clamp_at_least = pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=() if name == "clamped" else pytest.mark.slow) for name in ROBOTS],
+)
 
 
 def both(name: str, **tables: Any) -> tuple[Scene, Scene, State]:
@@ -172,7 +176,7 @@ def test_the_far_field_does_not_lose_digits_far_from_the_origin(large, rng):
     np.testing.assert_allclose(there, here, atol=1e-9 * np.abs(here).max())
 
 
-@every_robot
+@a_clamp_at_least
 def test_linear_systems_are_solved_both_ways(name, rng):
     _, scene, rest = both(name)
     state = perturbed(scene.rod, rest, rng, 1e-3)
@@ -194,6 +198,7 @@ def test_linear_systems_are_solved_both_ways(name, rng):
         np.testing.assert_allclose(found / scales, c, rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_short_steps_are_solved_as_well_as_rounding_permits(large):
     """Resistance over the length of a step makes forces of what rounding does to positions."""
     scene, state, _ = large
@@ -206,8 +211,7 @@ run = jax.jit(march_frames, static_argnums=(2, 3))
 
 # What the others add to these, a head within a rod, the tests of matrices above have as well.
 of_both_kinds = [
-    pytest.param(name, marks=() if name in ("branched", "clamped") else pytest.mark.slow)
-    for name in ROBOTS
+    pytest.param(name, marks=() if name == "clamped" else pytest.mark.slow) for name in ROBOTS
 ]
 
 
@@ -221,6 +225,7 @@ def test_runs_agree_with_those_of_one_dense_matrix(name):
     assert np.abs(found.q - expected.q)[0, :n].max() < 5e-3 * moved
 
 
+@pytest.mark.slow
 def test_without_stokeslets_blocks_and_matrix_agree_to_the_tolerance():
     """Resistive drag, a scene with contacts: nothing is left out."""
     tables = {"fluid": {"hydrodynamics": "rft"}, "contact": {"method": "smooth"}}
@@ -249,6 +254,7 @@ def end_in_blocks(name: str) -> Callable[[jax.Array], jax.Array]:
 AT, ALONG = jnp.ones(3), jnp.array([0.3, -0.5, 0.2])
 
 
+@pytest.mark.slow
 def test_forward_derivatives_of_runs_in_blocks():
     """Those of differences; the rate of the motor moves held degrees of freedom."""
     end = end_in_blocks("clamped")
@@ -258,9 +264,8 @@ def test_forward_derivatives_of_runs_in_blocks():
     assert error < 1e-6 * np.linalg.norm(difference)
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param("single_flagellum", marks=pytest.mark.slow), "clamped"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["single_flagellum", "clamped"])
 def test_reverse_derivatives_of_runs_in_blocks(name):
     """Likewise; that systems with a head are solved both ways is tested above."""
     end = end_in_blocks(name)
@@ -274,6 +279,7 @@ def test_reverse_derivatives_of_runs_in_blocks(name):
     assert float(both(AT)[1] @ ALONG) == pytest.approx(float(difference), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_memory_grows_with_the_number_of_nodes_and_no_faster():
     """The memory that one compiled step asks for, from 4 to 16 flagella of 28 nodes."""
     sizes = []

@@ -137,6 +137,7 @@ def with_trap(stiffness: float | jax.Array) -> dj.Scene:
     return SCENE.with_term(dj.Energy(trap, nodes=[-1], data=(stiffness, target)))
 
 
+@pytest.mark.slow
 def test_an_own_energy_is_one_line():
     """It pulls, is stored, and can be differentiated."""
     run = dj.rollout(with_trap(1.0))
@@ -195,6 +196,7 @@ def test_the_potential_of_a_step_is_stationary_at_its_end():
     np.testing.assert_allclose(hessian, hessian.T, atol=1e-9 * np.abs(hessian).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["dense", "blocks"])
 def test_resistance_is_that_of_the_head_and_the_flagellum(solver):
     """Symmetric and positive; without the flagellum's drag, that of a ball."""

@@ -459,6 +459,7 @@ def inverse(push: float, stiffness: float) -> float:
     return push / stiffness + 0.5 * WIDTH
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("load", [0.02, 0.1, 0.35])
 def test_pressed_rods_overlap_as_the_law_says(load):
     """Two crossed rods, pressed against each other by dead loads, after they came to rest."""
@@ -476,6 +477,7 @@ def test_pressed_rods_overlap_as_the_law_says(load):
     assert DIAMETER - gap == pytest.approx(inverse(load, 1e3), rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("approach", [0.006, 0.03, 0.06])
 def test_crossed_beams_pressed_by_an_approach(approach):
     """Clamped at both ends: two beams that give way, in series with the contact."""
@@ -498,6 +500,7 @@ def test_crossed_beams_pressed_by_an_approach(approach):
     assert 2 * yielding * push + inverse(push, stiffness) == pytest.approx(start, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slide", [0.0, 0.03])
 @pytest.mark.parametrize("tilt", [0.0, 1e-9, 1e-4, 3e-3])
 def test_parallel_rods_pressed_along_their_whole_length(tilt, slide):
@@ -617,6 +620,7 @@ def test_rebound_becomes_elastic_with_smaller_steps(collisions):
     assert 2 * rebound[-1] - rebound[-2] == pytest.approx(1, abs=0.01)
 
 
+@pytest.mark.slow
 def test_fast_rods_never_end_up_on_the_other_side():
     """Up to 30 diameters in a step, against contacts that are far too soft to stop them too."""
     rng = np.random.default_rng(0)

@@ -113,6 +113,7 @@ def test_derivatives_in_contact_equal_central_differences(case):
         np.testing.assert_allclose(jacobian[:, i], slope, rtol=0, atol=1e-4 * size, err_msg=name)
 
 
+@pytest.mark.slow
 def test_reverse_equals_forward_in_contact(case):
     file, jacobian = case
     gradient, report = reverse_mode(file, AT)

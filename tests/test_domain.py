@@ -183,6 +183,7 @@ def beside(scene: Scene, domain: Domain, in_blocks: bool = False) -> Scene:
 run = jax.jit(march_frames, static_argnums=(2, 3))
 
 
+@pytest.mark.slow
 def test_both_drags_of_segments_take_a_wall():
     """The robot moves as the same with one matrix, and not as in free space."""
     scene, wall = build(FILE), SlipWall(-0.015)
@@ -213,6 +214,7 @@ def check_derivatives(function: Any, *, step: float, error: float) -> None:
     assert float(reverse) == pytest.approx(float(weights @ forward), rel=1e-8)
 
 
+@pytest.mark.slow
 def test_derivatives_of_a_run_by_the_height_of_the_wall():
     """And by the viscosity."""
 
@@ -235,6 +237,7 @@ def test_a_domain_without_numbers_is_not_lost():
         replace(scene, terms=tuple(terms)).replace(C_t=4.0)
 
 
+@pytest.mark.slow
 def test_derivatives_of_a_mobility_in_blocks_by_the_height_of_the_wall(rng):
     """And by the size of the robot."""
     scene = build(FILE)

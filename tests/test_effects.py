@@ -219,6 +219,7 @@ def test_every_key_is_tried():
     assert OTHERS.keys() >= MAY_BE_IDLE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", OTHERS)
 def test_a_key_changes_the_scene_or_is_reported(key):
     names = [ONCE[key]] if key in ONCE else SCENES

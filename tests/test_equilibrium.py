@@ -57,6 +57,7 @@ def resting(load: Array) -> dj.Steady:
     return dj.equilibrium(heavy(load))
 
 
+@pytest.mark.slow
 def test_a_heavy_rod_hangs_like_the_elastica():
     """x, y and angle of the tip at weights of 1, 5 and 10 EI / L^3 per length."""
     for load, x, y in (
@@ -112,6 +113,7 @@ def test_a_straight_rod_relaxes_at_the_rates_of_its_modes():
     np.testing.assert_allclose(-found.real, rates, rtol=2e-2)
 
 
+@pytest.mark.slow
 def test_a_heavy_rod_in_a_thin_fluid_swings():
     """m lambda^2 + c lambda + k = 0 for each of its modes, with k = b^4 EI / L^4."""
     ends = jnp.concatenate([ROD.rest_length, jnp.zeros(1)])
@@ -169,6 +171,7 @@ def crossing(states: Sequence[dj.Steady], values: np.ndarray, oscillates: bool =
     return float(values[0] - growth[0] * np.diff(values)[0] / (growth[1] - growth[0]))
 
 
+@pytest.mark.slow
 def test_a_column_buckles_under_a_load_as_euler_found():
     """At pi^2 / 4 EI / L^2, clamped and free."""
     loads = np.pi**2 / 4 * np.array([0.98, 1.02])
@@ -200,6 +203,7 @@ def twisted(twist: Array) -> dj.Steady:
     return dj.equilibrium(ring(twist))
 
 
+@pytest.mark.slow
 def test_a_twisted_ring_buckles_as_michell_found():
     """At 2 pi sqrt(3) EI / GJ (Michell 1889, Zajac 1962), with EI = GJ here.
 
@@ -229,6 +233,7 @@ def flutter() -> float:
     return float(scipy.optimize.fsolve(equations, [75.0, 200.0])[0])
 
 
+@pytest.mark.slow
 def test_a_follower_force_makes_a_clamped_filament_flutter():
     """A pair of eigenvalues crosses the imaginary axis."""
     expected = flutter()
@@ -238,6 +243,7 @@ def test_a_follower_force_makes_a_clamped_filament_flutter():
     assert found == pytest.approx(expected, rel=1e-2)
 
 
+@pytest.mark.slow
 def test_operators_are_derivatives_of_the_forces(rng):
     scene = heavy(jnp.array([0.0, 0.0, -5.0]))
     state = resting(jnp.array([0.0, 0.0, -5.0])).state

@@ -62,6 +62,7 @@ def scene_path(tmp_path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_other_ways_of_the_page():
     """Its first two blocks run as they stand."""
     names: dict = {}
@@ -105,6 +106,7 @@ def test_a_scene_file_has_the_table(scene_path):
     assert json.loads(attributes["scene_json"])["trap"]["stiffness"] == 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("trap")
 def test_derivatives_by_its_numbers_with_both_solvers(scene_path):
     content = dj.load_scene(scene_path).model_dump(exclude_unset=True)
@@ -124,6 +126,7 @@ def test_derivatives_by_its_numbers_with_both_solvers(scene_path):
     assert slopes[1] == pytest.approx(slopes[0], rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("trap")
 def test_a_sweep_and_a_fit_over_its_number(scene_path, tmp_path):
     """The fit finds the stiffness with which the track was made."""

@@ -242,6 +242,7 @@ def test_threshold_of_sliding_is_the_coefficient_of_friction():
 run = jax.jit(roll_frames, static_argnums=(2, 3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spin", [60.0, -60.0, 20.0])
 def test_spinning_rod_drives_itself_sideways_until_it_rolls(spin):
     """With mu g, while mu N r slows its spin; then as a cylinder rolls, at a third of its spin."""
@@ -261,6 +262,7 @@ def test_spinning_rod_drives_itself_sideways_until_it_rolls(spin):
     )
 
 
+@pytest.mark.slow
 def test_distance_of_sliding_by_the_coefficient_of_friction():
     """Its derivative, central differences, and -g cos(a) t^2 / 2."""
     scene, state = on_a_slope(0.8)
@@ -270,6 +272,7 @@ def test_distance_of_sliding_by_the_coefficient_of_friction():
     assert slope == pytest.approx(-0.5 * np.cos(np.arctan(0.8)), rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("tangent", "above"), [(0.0, 0.0), (0.2, 0.0), (0.8, 0.0), (0.2, 0.05), (0.2, 10.0)]
 )
@@ -294,6 +297,7 @@ def soon(scene: Scene, state: State) -> jax.Array:
 gradient_of_slide = jax.jit(jax.grad(soon, allow_int=True))
 
 
+@pytest.mark.slow
 def test_the_stiffness_of_contact_is_one_number():
     """Its derivative is all of it: friction asks the contact, and keeps no copy."""
     scene, state = on_a_slope(0.8)

@@ -79,6 +79,7 @@ def spring(weights: jax.Array) -> jax.Array:
     return jnp.sum(states.q[-1] ** 2)
 
 
+@pytest.mark.slow
 def test_second_derivatives_equal_differences_of_gradients():
     at = jnp.array([1.0, 1.0])
     hessian = jax.jit(jax.hessian(spring))(at)

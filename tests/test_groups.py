@@ -84,6 +84,7 @@ def test_every_number_with_a_unit_is_known():
     assert numbers - known == pure | logs
 
 
+@pytest.mark.slow
 def test_a_robot_at_another_scale_does_the_same():
     """To round-off, with all ingredients; a bacterium's scale beside that of the robot."""
     file = SceneFile.from_dict(TABLES)

@@ -59,6 +59,7 @@ def test_the_motor_twists_the_shaft():
     np.testing.assert_allclose(dj.energies(robot, state)["Twist"], 0.5 * stiffness * 0.3**2)
 
 
+@pytest.mark.slow
 def test_derivatives_by_the_angle_of_the_motor_agree_with_differences():
     """Of the force on the rod, where the two frames differ."""
     robot = scene("rigid")
@@ -73,6 +74,7 @@ def test_derivatives_by_the_angle_of_the_motor_agree_with_differences():
     np.testing.assert_allclose(exact, steps, atol=1e-8 * np.abs(exact).max())
 
 
+@pytest.mark.slow
 def test_a_steady_flagellum_keeps_its_shape():
     """It turns as a whole; with the published hinge it nods once in every turn."""
     spread = {}

@@ -55,6 +55,7 @@ def test_gallery_shows_every_notebook():
     assert "docs/gallery.md" in (ROOT / "README.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_runs(path, monkeypatch):
     """From top to bottom; each checks its own numbers with assertions."""

@@ -42,6 +42,7 @@ def pair() -> dj.Orbit:
     return dj.orbit(scene_of(kind="two_flagella", separation=SEPARATION), steps=STEPS)
 
 
+@pytest.mark.slow
 def test_of_one_flagellum_it_is_the_steady_state(alone):
     """Speed, head rate, and multipliers exp(eigenvalue T), with errors of steps of time."""
     scene, found = alone
@@ -53,6 +54,7 @@ def test_of_one_flagellum_it_is_the_steady_state(alone):
     assert slowest == pytest.approx(dj.stability(state).growth_rate, rel=1e-2)
 
 
+@pytest.mark.slow
 def test_derivatives_agree_with_differences(alone):
     """By a number of the shape, and by the rate of the motor, with its period."""
     scene, found = alone
@@ -79,6 +81,7 @@ def agree_with_differences(
             assert slopes[name][what] == pytest.approx(difference, rel=tolerance, abs=scale)
 
 
+@pytest.mark.slow
 def test_two_flagella_repeat_themselves_and_a_long_simulation_ends_in_that(pair):
     """After five turns the robot has moved five times as in one; and after many it was no other."""
     found = pair
@@ -178,6 +181,7 @@ method = "none"
 """
 
 
+@pytest.mark.slow
 def test_the_command_follows_orbits_of_several_flagella(pair, tmp_path, capsys):
     """A row for each value with the numbers of its orbit; motors without a period are refused."""
     path, out = tmp_path / "scene.toml", tmp_path / "out"

@@ -30,7 +30,11 @@ DIFFERENT = file_of(robot={"pitch": PITCHES}, material={"youngs_modulus": MODULI
 
 @pytest.mark.parametrize(
     "tables",
-    [{}, {"robot": {"kind": "branched", "n_flagella": 2}}, {"fluid": {"hydrodynamics": "rss"}}],
+    [
+        {},
+        pytest.param({"robot": {"kind": "branched", "n_flagella": 2}}, marks=pytest.mark.slow),
+        pytest.param({"fluid": {"hydrodynamics": "rss"}}, marks=pytest.mark.slow),
+    ],
     ids=["two", "branched", "segments"],
 )
 def test_equal_lists_are_what_one_number_is(tables):
@@ -147,6 +151,7 @@ youngs_modulus = [1.255e6, {modulus}]
 """
 
 
+@pytest.mark.slow
 def test_a_sweep_over_one_of_them(tmp_path):
     (tmp_path / "scene.toml").write_text(SCENE.format(modulus=2.5e6))
     sweep = tmp_path / "sweep.toml"
@@ -158,6 +163,7 @@ def test_a_sweep_over_one_of_them(tmp_path):
     assert table["v_x_m_per_s"].nunique() == 2
 
 
+@pytest.mark.slow
 def test_a_fit_of_one_of_them_finds_the_truth(tmp_path):
     (tmp_path / "truth.toml").write_text(SCENE.format(modulus=2.5e6))
     truth = dj.rollout(dj.build(dj.load_scene(tmp_path / "truth.toml")), reverse_mode=False)

@@ -20,6 +20,17 @@ fitted by about as much."""
 ESTIMATE = re.compile(r"^(C_t|C_r) = .*$", re.MULTILINE)
 
 
+def test_the_values_of_the_readme_are_the_truth() -> None:
+    """To what it claims, and to how far the two codes are apart."""
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    shown = {match[1]: match[0] for match in ESTIMATE.finditer(readme)}
+    assert set(shown) == set(TRUTH)
+    for name, truth in TRUTH.items():
+        value, std = map(float, re.findall(r"= (\S+) \+- (\S+) ", shown[name])[0])
+        assert abs(value - truth) <= 3.0 * std + BETWEEN_CODES * truth
+
+
+@pytest.mark.slow
 def test_the_calibration_of_the_readme(tmp_path: Path) -> None:
     """In a process of its own, as its simulations take longer than to compile them well."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")

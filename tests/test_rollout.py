@@ -100,6 +100,7 @@ def test_a_step_is_traced_once_for_all_programs():
     assert len(traced) == 1
 
 
+@pytest.mark.slow
 def test_first_order_in_time():
     scene, start = falling_rod()
     ends = []
@@ -111,6 +112,7 @@ def test_first_order_in_time():
     np.testing.assert_allclose(orders[-1], 1.0, atol=0.1)
 
 
+@pytest.mark.slow
 def test_memory_of_reverse_mode_grows_like_the_square_root_of_steps():
     def loss(pull, n):
         scene, start = falling_rod(pull)

@@ -91,8 +91,18 @@ def outcome(name: str, size: float, slowness: float) -> Outcome:
     )
 
 
-@pytest.mark.parametrize("name", SCENES)
-@pytest.mark.parametrize(("size", "slowness"), [(1e-3, 1.0), (1e3, 1.0), (1e-3, 1e-3), (1e3, 1e3)])
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=() if n == "rss" else pytest.mark.slow) for n in SCENES]
+)
+@pytest.mark.parametrize(
+    ("size", "slowness"),
+    [
+        (1e-3, 1.0),
+        pytest.param(1e3, 1.0, marks=pytest.mark.slow),
+        pytest.param(1e-3, 1e-3, marks=pytest.mark.slow),
+        (1e3, 1e3),
+    ],
+)
 def test_size_does_not_matter(name, size, slowness):
     usual, other = outcome(name, 1.0, 1.0), outcome(name, size, slowness)
     extent = np.ptp(usual.shape)

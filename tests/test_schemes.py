@@ -309,6 +309,7 @@ def test_derivatives_hold_the_sequence_of_steps():
     np.testing.assert_allclose(forward, difference, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("edge", [10e-3, 2.5e-3])
 def test_default_steps_are_accurate_on_coarse_and_fine_meshes(edge):
     """The finer the mesh, the more violent the moment in which the flagellum goes limp."""

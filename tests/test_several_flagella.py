@@ -141,6 +141,7 @@ def test_one_branch_swims_as_the_robot_with_one_flagellum():
     np.testing.assert_allclose(second.q, first.q, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_one_rod_and_two_branches_swim_alike(equal, branches):
     """Their heads differ in how they are made, and their stiff arms hardly bend."""
     assert speed(equal) < -1e-4
@@ -155,7 +156,8 @@ def test_one_rod_and_two_branches_swim_alike(equal, branches):
 # Symmetries of the robot ---------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["equal", "branches"])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["equal", pytest.param("branches", marks=pytest.mark.slow)])
 def test_equal_flagella_do_not_drift_sideways(name, request):
     """By the two-fold symmetry the head stays on its axis, and so does that."""
     run = request.getfixturevalue(name)
@@ -169,6 +171,7 @@ def test_equal_flagella_do_not_drift_sideways(name, request):
     assert np.abs(one - other @ half_turn.T).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_opposite_flagella_do_not_turn_the_head():
     """Mirror images that are turned oppositely stay so: the head can pitch, but not roll."""
     mirror = {"handedness": ["left", "right"]}
@@ -184,6 +187,7 @@ def test_opposite_flagella_do_not_turn_the_head():
     assert np.abs(head_angular_velocity(topology, alike.states)[:, 0]).min() > 1e-2 * RATE
 
 
+@pytest.mark.slow
 def test_the_image_of_a_swimmer_is_a_swimmer(unequal):
     """Right-handed flagella turned the other way: the mirror image of the whole motion.
 
@@ -214,7 +218,8 @@ def placed(run: Run, turn, shift) -> State:
     )
 
 
-@pytest.mark.parametrize("name", ["unequal", "touching"])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["unequal", pytest.param("touching", marks=pytest.mark.slow)])
 def test_where_a_swimmer_starts_and_heads_for_does_not_matter(name, request):
     """Neither in Stokes flow nor in contact; nor can it be told from the angles."""
     run = request.getfixturevalue(name)
@@ -232,6 +237,7 @@ def test_where_a_swimmer_starts_and_heads_for_does_not_matter(name, request):
     )
 
 
+@pytest.mark.slow
 def test_in_a_vacuum_only_differences_of_velocity_count():
     """Without drag a robot that is thrown moves as one at rest, and onwards."""
     file = scene_file(
@@ -388,7 +394,9 @@ def total_load(run: Run, load: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarr
     return force.sum(axis=0), moment
 
 
-@pytest.mark.parametrize("name", ["equal", "unequal", "branches"])
+@pytest.mark.parametrize(
+    "name", ["equal", "unequal", pytest.param("branches", marks=pytest.mark.slow)]
+)
 def test_swimming_is_free_of_force_and_torque(name, request):
     """What the fluid does to the flagella and to the head adds up to nothing."""
     run = request.getfixturevalue(name)
@@ -458,6 +466,7 @@ def rigid_thrust(run: Run) -> float:
     return float(force.reshape(-1, 3)[:, 0].sum())
 
 
+@pytest.mark.slow
 def test_thrust_of_clamped_filaments_has_the_sign_of_a_screw():
     """Left-handed helices turned with the right hand about x are pulled against x.
 

@@ -86,6 +86,7 @@ def excursion(part: float) -> np.ndarray:
     return np.hypot(tip[:, 1], tip[:, 2]) / LENGTH
 
 
+@pytest.mark.slow
 def test_below_the_threshold_a_rod_stays_on_its_axis():
     assert excursion(0.85).max() < 0.03
 
@@ -128,9 +129,14 @@ def test_derivatives_of_a_step():
 @pytest.mark.parametrize(
     "tables",
     [
-        {"time": {"step": 0.02, "end": 0.1, "scheme": "trbdf2"}},
+        pytest.param(
+            {"time": {"step": 0.02, "end": 0.1, "scheme": "trbdf2"}}, marks=pytest.mark.slow
+        ),
         {"time": {"step": 1e-4, "end": 5e-4, "scheme": "explicit"}},
-        {"solver": {"method": "blocks"}, "time": {"step": 0.02, "end": 0.1}},
+        pytest.param(
+            {"solver": {"method": "blocks"}, "time": {"step": 0.02, "end": 0.1}},
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["trbdf2", "explicit", "blocks"],
 )

@@ -75,7 +75,10 @@ SCENES: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=() if n == "segments" else pytest.mark.slow) for n in SCENES],
+)
 def test_a_uniform_flow_carries_the_robot_along(name):
     """All drag is relative to the fluid: the robot swims as in fluid at rest, and drifts."""
     tables = {"robot": ROBOT, "time": TIMES | {"inertia": False}} | SCENES[name]
@@ -124,6 +127,7 @@ def slant(scene: Scene, state: State, steps: int, roll=march_frames) -> jax.Arra
     return along[0] / along[1]
 
 
+@pytest.mark.slow
 def test_a_slender_rod_turns_in_shear_as_jeffery_says():
     """Without thickness cot(phi) grows by the shear rate, phi being the angle with the flow."""
     scene, state = stiff_rod()

@@ -88,6 +88,7 @@ def quantities(parts: jax.Array) -> jax.Array:
     return jnp.stack([1e3 * state.speed, state.head_rate, 10.0 * state.tail_to_head])
 
 
+@pytest.mark.slow
 def test_derivatives_forward_and_reverse_agree_with_differences():
     """By all that a fit or a design may change, against differences of fourth order."""
     at, h = jnp.ones(len(NAMES)), 3e-3
@@ -121,6 +122,7 @@ THIN = {"rpm": 60.0, "viscosity": 0.3, "youngs_modulus": 4e5}
 """A fluid in which masses count."""
 
 
+@pytest.mark.slow
 def test_masses_count_in_how_displacements_decay():
     """Rigid motions are modes, and the slowest is what the last of a simulation is made of."""
     file = dj.SceneFile.from_dict(TINY | {"time": STEPS | {"inertia": True, "end": 6.0}})
@@ -183,6 +185,7 @@ def test_the_slowest_mode_is_how_a_simulation_settles(swimming):
     assert np.linalg.norm(waves @ weights - away) < 0.03 * np.linalg.norm(away)
 
 
+@pytest.mark.slow
 def test_the_threshold_scales_as_dimensions_say():
     """The buckling rate goes as E / mu: its logarithmic derivatives are 1 and -1."""
     scene = dj.build(FILE, {"rpm": 200.0})
@@ -210,6 +213,7 @@ HELD = {"robot": TINY["robot"] | {"kind": "clamped", "n_flagella": 1}}
 HEAVY = {"fluid": {"hydrodynamics": "rft", "fluid_density": 1250.0}}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "tables",
     [
@@ -227,6 +231,7 @@ def test_forces_that_change_as_the_shape_turns_are_noticed(tables):
         state.raise_if_failed()
 
 
+@pytest.mark.slow
 def test_a_robot_that_is_heavier_than_the_fluid_swims_and_sinks(swimming):
     """Along gravity, up or down; the sum of both speeds is twice that without."""
     speeds = []
@@ -245,6 +250,7 @@ def test_a_robot_that_is_heavier_than_the_fluid_swims_and_sinks(swimming):
     assert np.mean(speeds) == pytest.approx(float(swimming.speed), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_branch_is_followed_around_a_fold():
     """Beyond the fold there is no steady state; before it there are two."""
     scene = dj.build(FILE, {"rpm": 585.0})
@@ -272,6 +278,7 @@ def test_a_curve_finds_the_same_states_as_one_by_one(swimming):
         dj.steady_curve(swimming.scene, "speed", [1.0])
 
 
+@pytest.mark.slow
 def test_along_a_branch_a_change_of_stability_is_located():
     branch = dj.branch(dj.build(FILE, {"rpm": 120.0}), "rpm", 280.0)
     assert branch.complete
@@ -288,6 +295,7 @@ def test_failure_names_the_rate_that_was_reached():
         state.raise_if_failed()
 
 
+@pytest.mark.slow
 def test_a_filament_on_a_fixed_motor_turns_about_its_axis():
     """With the rate of the motor; and its simulation ends there."""
     tables = TINY | {"robot": TINY["robot"] | {"kind": "clamped", "n_flagella": 1}}
@@ -313,6 +321,7 @@ inertia = false
 """
 
 
+@pytest.mark.slow
 def test_the_command_finds_a_curve_its_threshold_and_goes_on(tmp_path, capsys):
     """From `--vary` to table, shapes and figures; what is there is kept, and added to."""
     path, out = tmp_path / "scene.toml", tmp_path / "out"

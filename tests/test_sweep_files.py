@@ -71,6 +71,7 @@ def full_disk(monkeypatch: pytest.MonkeyPatch, suffix: str, times: int) -> None:
     monkeypatch.setattr("derjax.io.files.os.replace", refuse)
 
 
+@pytest.mark.slow
 def test_a_table_is_tried_again(argv, out, monkeypatch, capsys):
     full_disk(monkeypatch, ".csv", 2)
     assert main(argv) == 0

@@ -43,7 +43,13 @@ def run_of(kind="single_flagellum", scheme="trbdf2", **options):
     return RUNS[key]
 
 
-@pytest.mark.parametrize(("kind", "scheme"), [("single_flagellum", "trbdf2"), ("clamped", "euler")])
+@pytest.mark.parametrize(
+    ("kind", "scheme"),
+    [
+        pytest.param("single_flagellum", "trbdf2", marks=pytest.mark.slow),
+        ("clamped", "euler"),
+    ],
+)
 def test_the_torque_that_is_passed_on_is_that_of_the_motor(kind, scheme):
     """To round-off in every state, by the stored energy and by the drag."""
     run = run_of(kind, scheme)
@@ -115,6 +121,7 @@ def test_work_of_the_shaft_is_dissipated_or_stored():
     assert 1.6 < np.log2(left[0] / left[1]) < 2.6, left
 
 
+@pytest.mark.slow
 def test_a_strong_motor_turns_at_its_rate():
     """It slips by its load over its stall torque."""
     prescribed = run_of(motor={"rpm": 60.0})
@@ -125,6 +132,7 @@ def test_a_strong_motor_turns_at_its_rate():
         np.testing.assert_allclose(1.0 - rate / (60.0 * TURN), 1.0 / strength, rtol=0.03)
 
 
+@pytest.mark.slow
 def test_backwards_is_the_mirror_image():
     time = {"scheme": "trbdf2"}  # as other tests have it
     right = scene_file(robot={"handedness": "right"}, time=time)
@@ -136,6 +144,7 @@ def test_backwards_is_the_mirror_image():
     )
 
 
+@pytest.mark.slow
 def test_derivatives_in_both_modes():
     """Of a step in which the motor starts."""
     motor = {"stall_torque": STALL, "free_rpm": FREE, "ripple": 0.2, "ripple_order": 3}
@@ -206,6 +215,7 @@ def test_ripple_of_a_torque_shows_in_its_rate():
     assert abs(np.mean((rate - rate.mean()) * wave)) > 0.05 * float(rate.mean())
 
 
+@pytest.mark.slow
 def test_every_motor_has_a_torque_of_its_own():
     file = scene_file(
         "two_flagella",

@@ -3,6 +3,10 @@
 import runpy
 from pathlib import Path
 
+import pytest
+
+pytestmark = pytest.mark.slow
+
 TOUR = Path(__file__).parents[1] / "docs" / "examples" / "tour.py"
 
 

@@ -106,6 +106,7 @@ def test_one_coordinate_and_the_angle_are_enough(dataset) -> None:
     assert fit.values == pytest.approx(TRUTH, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_common_scale_of_all_forces_is_reported(dataset) -> None:
     run = dataset.runs[1]
     names = ("C_t", "C_r", "youngs_modulus", "viscosity")
@@ -239,6 +240,7 @@ def test_the_best_of_several_optima_is_found_whatever_the_start(dataset) -> None
             assert estimate.std < 0.2 * estimate.value
 
 
+@pytest.mark.slow
 def test_another_zero_of_the_angle_is_a_likely_cause(dataset, simulator) -> None:
     """As of a film that begins after the motor, or of a body that was mounted askew."""
     turned = noisy(dataset, 5)

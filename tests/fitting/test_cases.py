@@ -11,7 +11,7 @@ from derjax import load_scene
 from derjax.commands.main import main
 from fitting.observe import interpolation
 
-pytestmark = pytest.mark.optimised
+pytestmark = [pytest.mark.slow, pytest.mark.optimised]
 
 SCENE = """
 [robot]

@@ -52,6 +52,7 @@ def test_an_interruption_keeps_the_best() -> None:
     assert len(found.losses) == 4
 
 
+@pytest.mark.slow
 def test_many_parameters_descend_on_tracks(dataset, simulator) -> None:
     run = dataset.runs[1]
     objective = track_loss(dataset, simulator.parameters, [run])

@@ -68,6 +68,7 @@ STEADY = (
 )
 
 
+@pytest.mark.slow
 def test_gradients_through_steady_states_are_those_of_differences(scene):
     evaluate = ThroughSteady(scene, [named(name, scene) for name in STEADY])
     numbers = {"pitch": 0.0318, "head_radius": 0.031}
@@ -119,6 +120,7 @@ def test_the_best_design_is_a_scene(found):
     assert float(dj.steady(found.scene).speed) == pytest.approx(-found.objective, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_tolerances_are_those_that_cost_one_percent(scene):
     found = design(scene, {"pitch": PITCH}, maximise="speed", search=ONE)
     tolerance = found.sensitivities["pitch"].tolerance
@@ -130,6 +132,7 @@ def test_tolerances_are_those_that_cost_one_percent(scene):
     assert np.mean(lost) == pytest.approx(0.01, rel=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("held", [("torque", 8e-5), ("power", 1e-3)])
 def test_a_motor_that_is_held_at_its_torque_or_power(scene, held):
     problem = problem_of(scene, {"pitch": PITCH}, "speed", None, at=held, limits={held[0]: (0, 1)})
@@ -162,6 +165,7 @@ AHEAD = (-1.0, 0.3, 0.2)
 RUN = ("speed", "torque", "power", "efficiency", "energy", "clearance", "distance")
 
 
+@pytest.mark.slow
 def test_gradients_through_runs_with_contact_are_those_of_differences():
     """Between flagella that touch, with a list of contacts that was too short at first."""
     scene = dj.build(TOUCHING)
@@ -181,6 +185,7 @@ def test_gradients_through_runs_with_contact_are_those_of_differences():
 PROGRAMME = 26
 
 
+@pytest.mark.slow
 def test_a_programme_of_the_motor_in_reverse_mode():
     """How to go furthest on a given energy; a little further than at a steady rate."""
     slow = FILE.model_copy(update={"time": FILE.time.model_copy(update={"inertia": False})})
@@ -306,6 +311,7 @@ def test_statistics_of_uncertain_parameters(quantile):
     assert gradient[0] == pytest.approx(seen, rel=1e-7)
 
 
+@pytest.mark.slow
 def test_a_cautious_design_gives_up_a_little_of_the_mean(scene):
     """The tenth percentile is less than the mean, and what draws of the parameters say it is."""
     covariance = np.diag([0.3**2, 1e5**2])
@@ -328,6 +334,7 @@ def test_a_cautious_design_gives_up_a_little_of_the_mean(scene):
     assert speed == pytest.approx(found.quantities["speed"], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_search_goes_on_where_it_stopped(scene):
     """What it is told of designs that are known is all that it needs."""
     problem = problem_of(scene, {"pitch": PITCH, "helix_radius": RADIUS}, "speed", None)
@@ -351,6 +358,7 @@ def test_a_search_goes_on_where_it_stopped(scene):
     assert not known & {point.x.tobytes() for point in more}
 
 
+@pytest.mark.slow
 def test_a_search_that_stops_between_starts_is_interrupted(scene):
     """And has the best of the first."""
     problem = problem_of(scene, {"pitch": PITCH}, "speed", None)
@@ -369,6 +377,7 @@ def test_a_search_that_stops_between_starts_is_interrupted(scene):
     assert ends == [found.objective]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["trust-constr", "adam"])
 def test_other_optimisers_find_the_same(scene, method):
     search = Search(method, starts=1, most=60, tolerance=1e-8)
@@ -377,6 +386,7 @@ def test_other_optimisers_find_the_same(scene, method):
     assert found.objective == pytest.approx(best.objective, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_limits_that_contradict_each_other_are_named(scene):
     limits = {"torque": (None, 1e-4), "speed": (9e-4, None), "total_length": (None, 1.0)}
     with pytest.raises(dj.InputError, match=r"torque <= 0.0001 .* and speed >= 0.0009") as told:
@@ -384,6 +394,7 @@ def test_limits_that_contradict_each_other_are_named(scene):
     assert "total_length" not in str(told.value)
 
 
+@pytest.mark.slow
 def test_a_start_beyond_the_limits_is_led_back(scene):
     limits = {"torque": (None, 5e-5)}
     found = design(scene, {"helix_radius": RADIUS}, maximise="speed", limits=limits, search=ONE)
@@ -391,6 +402,7 @@ def test_a_start_beyond_the_limits_is_led_back(scene):
     assert found.quantities["torque"] == pytest.approx(5e-5, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_design_that_buckles_is_told(scene):
     fast = scene.replace(rpm=250.0)
     found = design(fast, {"pitch": (0.025, 0.035)}, maximise="speed", search=ONE)
@@ -465,11 +477,13 @@ def test_what_cannot_be_is_told_in_one_message(scene, arguments, message):
         design(scene, given.pop("vary"), **given)
 
 
+@pytest.mark.slow
 def test_an_objective_that_is_no_number_is_told(scene):
     with pytest.raises(dj.SolverError, match="never is nan"):
         design(scene, {"pitch": PITCH}, maximise=never, search=ONE)
 
 
+@pytest.mark.slow
 def test_a_start_that_fails_leaves_the_others(scene):
     """A design without a steady state is bad, and no more than that."""
 

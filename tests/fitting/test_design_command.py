@@ -54,6 +54,7 @@ def command(folder, *more, file="design.toml"):
     return main(["design", str(folder / file), "-o", str(folder / "out"), *more])
 
 
+@pytest.mark.slow
 def test_from_the_file_to_the_figures_and_back(folder, capsys):
     assert command(folder) == 0
     said = capsys.readouterr()
@@ -82,6 +83,7 @@ def test_from_the_file_to_the_figures_and_back(folder, capsys):
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
 
 
+@pytest.mark.slow
 def test_a_search_that_is_interrupted_goes_on(folder, capsys):
     """Ctrl-C after some designs; those are not looked at again."""
     (folder / "scene.toml").write_text(SCENE)
@@ -166,6 +168,7 @@ def broken(state):
 """
 
 
+@pytest.mark.slow
 def test_a_function_of_ones_own(folder):
     (folder / "own.py").write_text(OWN)
     (folder / "design.toml").write_text(DESIGN.replace('"speed"', '"own.py:slip"'))

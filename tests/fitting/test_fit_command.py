@@ -191,7 +191,7 @@ def test_what_is_printed(path, capsys) -> None:
     assert json.loads((out / "fit.json").read_text())["parameters"]["C_r"]["start"] == 2.0
 
 
-@pytest.mark.parametrize("stop", [ctrl_c, terminate])
+@pytest.mark.parametrize("stop", [ctrl_c, pytest.param(terminate, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("when", ["first", "explore", "fit", "compare"])
 def test_a_fit_that_was_stopped_is_resumed(finished, path, monkeypatch, capsys, stop, when) -> None:
     """It gives what an uninterrupted one gives, bit by bit, and simulates nothing twice."""
@@ -245,6 +245,7 @@ def test_the_printer_may_be_interrupted(path, monkeypatch) -> None:
     assert len(list((out / "evaluations").glob("*.npz"))) >= 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("after", [1, 40])
 def test_the_search_for_causes_may_be_interrupted(
     dataset, tmp_path, monkeypatch, capsys, after

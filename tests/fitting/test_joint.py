@@ -75,6 +75,7 @@ def changed(dataset: Dataset, change, **fields) -> Dataset:
     return replace(dataset, runs=runs)
 
 
+@pytest.mark.slow
 def test_a_gait_is_what_a_simulation_settles_to(scene, gaits) -> None:
     fine = scene.time.model_copy(update={"step": 0.01, "end": 16.0})
     fine_scene = scene.model_copy(update={"time": fine})
@@ -165,6 +166,7 @@ def test_a_drift_along_the_way_is_told_from_speed_by_its_prior(dataset) -> None:
     assert fit.estimates["C_t"].std > 3 * ignored.estimates["C_t"].std
 
 
+@pytest.mark.slow
 def test_a_motor_that_is_slower_than_it_says(dataset) -> None:
     said = tuple(replace(run, motor_rpm=run.motor_rpm * 1.02) for run in dataset.runs)
     wrong = replace(dataset, runs=said)
@@ -196,6 +198,7 @@ def test_all_at_once(dataset, scene, gaits) -> None:
     assert sure.estimates["C_t"].std < 0.0011
 
 
+@pytest.mark.slow
 def test_a_viscosity_for_all_and_a_parameter_of_one_run(dataset) -> None:
     runs = (dataset.runs[0], replace(dataset.runs[1], own=("C_r",)))
     shared = Shared.model_validate({"viscosity": {"std": 0.02}})
@@ -206,6 +209,7 @@ def test_a_viscosity_for_all_and_a_parameter_of_one_run(dataset) -> None:
         assert abs(fit.values[name] - 0.36) < 4 * fit.estimates[name].std
 
 
+@pytest.mark.slow
 def test_two_robots_with_a_drag_in_common(dataset, scene) -> None:
     """Another pitch in the second run, whose head spins against another drag."""
     robot = scene.robot.model_copy(update={"pitch": 0.06})
@@ -227,6 +231,7 @@ def test_speeds_and_drift_without_a_prior_are_not_identifiable(dataset) -> None:
     assert fit.estimates["C_r"].std < 0.1
 
 
+@pytest.mark.slow
 def test_a_track_from_rest_joins(simulator, scene, gaits) -> None:
     """A track from rest, filmed some time after its motor started, and speeds."""
     late = synthetic_run(simulator, 45.0, SHORT, TRUTH, sigma=1e-5, sigma_angle=1e-3)

@@ -74,7 +74,9 @@ def coverage(shape: str, correlated: bool, rho: float, outliers: float) -> np.nd
     return hits
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow if n == "both" else ()) for n in CASES]
+)
 def test_intervals_cover(name) -> None:
     assert (coverage(*CASES[name]) >= 90).all()
 

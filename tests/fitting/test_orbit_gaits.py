@@ -11,6 +11,8 @@ from fitting.joint.posterior import posterior
 from fitting.joint.sources import OrbitSource, source
 from fitting.tracks import Dataset, Run
 
+pytestmark = pytest.mark.slow
+
 TRUTH = {"C_t": 4.8, "C_r": 0.36}
 VALUES = np.array(list(TRUTH.values()))
 NAMES = tuple(TRUTH)

@@ -41,6 +41,7 @@ def test_what_is_not_plausible() -> None:
     assert odd["youngs_modulus"] == "youngs_modulus = 1000 is far from its start, 1e+06"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("factor", "remark"), [(1e5, "is not plausible"), (3.0, "hardly decide")])
 def test_another_optimum_is_said_to_be_absurd(dataset, simulator, factor, remark) -> None:
     model = Model(dataset, simulator.parameters)

@@ -29,6 +29,7 @@ def fit(speeds):
     return calibrate_jointly(speeds)[0]
 
 
+@pytest.mark.slow
 def test_speeds_of_another_code_give_its_parameters(speeds, fit) -> None:
     assert fit.status == "converged"
     for name, (truth, within) in TRUTH.items():
@@ -38,6 +39,7 @@ def test_speeds_of_another_code_give_its_parameters(speeds, fit) -> None:
     assert time.process_time() - begun < 5.0
 
 
+@pytest.mark.slow
 def test_tracks_cut_to_after_the_transient_give_the_same(speeds) -> None:
     """Tracks of the other code from 10 s on, times counted from there."""
     data = load_dataset(SPEEDS.parent / "reference" / "dataset.toml")
@@ -51,10 +53,12 @@ def test_tracks_cut_to_after_the_transient_give_the_same(speeds) -> None:
         assert fit.values[name] == pytest.approx(truth, rel=within)
 
 
+@pytest.mark.slow
 def test_the_decision_is_told(fit) -> None:
     assert fit.said == ("reference code: 3 rates, compared with steady states",)
 
 
+@pytest.mark.slow
 def test_sizes_without_sign_give_the_same(speeds, fit) -> None:
     (rates,) = speeds.rates
     sizes = replace(rates, speed=np.abs(rates.speed), head_rate=np.abs(rates.head_rate))
@@ -63,6 +67,7 @@ def test_sizes_without_sign_give_the_same(speeds, fit) -> None:
     assert "v and head_rate have the opposite sign" in other.said[-1]
 
 
+@pytest.mark.slow
 def test_speeds_alone_do_not_determine_the_rotation(speeds) -> None:
     (rates,) = speeds.rates
     alone = replace(rates, head_rate=np.full(3, np.nan))
@@ -73,6 +78,7 @@ def test_speeds_alone_do_not_determine_the_rotation(speeds) -> None:
     assert any("C_r is not determined" in warning for warning in fit.warnings)
 
 
+@pytest.mark.slow
 def test_a_viscosity_that_is_not_known_widens_the_errors(speeds) -> None:
     (rates,) = speeds.rates
     rates = replace(

@@ -62,6 +62,7 @@ def test_a_transient_is_not_taken_for_steady() -> None:
     assert not is_steady(helix(STEP * np.arange(40)), STEP, PERIOD, 60.0)  # two turns only
 
 
+@pytest.mark.slow
 def test_previews_are_what_whole_simulations_give(scene, simulator: Simulator) -> None:
     times = np.linspace(1.0, 20.0, 20)
     run = Run("track", times, (0, 1, 2, 3), np.zeros((20, 4)))

@@ -34,6 +34,7 @@ def test_sensitivities_are_those_of_finite_differences(simulator, simulated) -> 
         assert error.max() < 1e-5
 
 
+@pytest.mark.slow
 def test_one_rollout_and_reverse_mode_agree_with_joined_calls(simulator, simulated) -> None:
     weights = jnp.asarray(np.random.default_rng(0).normal(size=(STEPS + 1, 4)))
 
@@ -72,6 +73,7 @@ def silhouettes(simulator) -> Simulator:
     return Simulator(simulator.scene, simulator.parameters, 40, sight=2)
 
 
+@pytest.mark.slow
 def test_silhouettes_are_simulated_with_their_sensitivities(silhouettes) -> None:
     here = silhouettes.run(FREE, RPM, 40)
     built = build(silhouettes.scene, silhouettes.parameters.values(jnp.asarray(FREE)))

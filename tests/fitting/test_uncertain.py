@@ -64,6 +64,7 @@ def test_profile_and_covariance_agree_where_the_model_is_linear(linear) -> None:
         assert one.rise.min() == 0.0
 
 
+@pytest.mark.slow
 def test_posterior_and_covariance_agree_where_the_model_is_linear(linear, drawn) -> None:
     fit, _ = linear
     assert drawn.ok
@@ -73,6 +74,7 @@ def test_posterior_and_covariance_agree_where_the_model_is_linear(linear, drawn)
         assert drawn.mean()[name] == pytest.approx(e.value, abs=0.15 * e.std)
 
 
+@pytest.mark.slow
 def test_a_profile_of_the_only_parameter(scene) -> None:
     """Nothing that costs a simulation is left to search."""
     known = scene.model_copy(update={"head": scene.head.model_copy(update={"C_r": 0.36})})
@@ -100,11 +102,13 @@ def from_rest(simulator, scene):
     return calibrate_jointly(data, initial=TRUTH)
 
 
+@pytest.mark.slow
 def test_a_posterior_of_tracks_from_rest_is_refused(from_rest) -> None:
     with pytest.raises(InputError, match="tracks from rest would have to be simulated"):
         posterior(from_rest[1])
 
 
+@pytest.mark.slow
 def test_a_profile_and_a_plan_from_a_track_from_rest(from_rest) -> None:
     fit, solved = from_rest
     (one,) = profiles(solved, ["C_r"])
