@@ -105,7 +105,9 @@ class Durations:
             self.failed.add(file_of(report.nodeid))
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
-        for file, seconds in self.taken.items():
+        # What is stored says nothing of tests that are marked slow.
+        usual = self.config.option.markexpr == "not slow"
+        for file, seconds in self.taken.items() if usual else ():
             if seconds > 5.0 + MUCH_LONGER * self.stored.get(file, 0.0):
                 stored = f"{self.stored[file]:.0f} s" if file in self.stored else "nothing"
                 terminalreporter.write_line(
