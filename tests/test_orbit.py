@@ -13,6 +13,8 @@ from benchmarks.orbits import scene_of as touching
 from derjax.commands.main import main
 from derjax.steady.orbit import period_of
 
+pytestmark = pytest.mark.slow
+
 TINY = {
     "robot": {"edge_length": 0.02, "helix_radius": 6.4e-3, "pitch": 44.8e-3},
     "fluid": {"hydrodynamics": "rft"},
@@ -42,7 +44,6 @@ def pair() -> dj.Orbit:
     return dj.orbit(scene_of(kind="two_flagella", separation=SEPARATION), steps=STEPS)
 
 
-@pytest.mark.slow
 def test_of_one_flagellum_it_is_the_steady_state(alone):
     """Speed, head rate, and multipliers exp(eigenvalue T), with errors of steps of time."""
     scene, found = alone
@@ -54,7 +55,6 @@ def test_of_one_flagellum_it_is_the_steady_state(alone):
     assert slowest == pytest.approx(dj.stability(state).growth_rate, rel=1e-2)
 
 
-@pytest.mark.slow
 def test_derivatives_agree_with_differences(alone):
     """By a number of the shape, and by the rate of the motor, with its period."""
     scene, found = alone
@@ -81,7 +81,6 @@ def agree_with_differences(
             assert slopes[name][what] == pytest.approx(difference, rel=tolerance, abs=scale)
 
 
-@pytest.mark.slow
 def test_two_flagella_repeat_themselves_and_a_long_simulation_ends_in_that(pair):
     """After five turns the robot has moved five times as in one; and after many it was no other."""
     found = pair
@@ -103,7 +102,6 @@ def test_two_flagella_repeat_themselves_and_a_long_simulation_ends_in_that(pair)
     agree_with_differences(found.scene, again, ["separation"], 1e-3)
 
 
-@pytest.mark.slow
 def test_derivatives_agree_with_differences_in_contact():
     """On the orbit on which flagella touch, and in which a simulation of a minute ends."""
     started = dj.orbit(touching(5, 60), steps=STEPS)
@@ -181,7 +179,6 @@ method = "none"
 """
 
 
-@pytest.mark.slow
 def test_the_command_follows_orbits_of_several_flagella(pair, tmp_path, capsys):
     """A row for each value with the numbers of its orbit; motors without a period are refused."""
     path, out = tmp_path / "scene.toml", tmp_path / "out"

@@ -286,6 +286,7 @@ def total_turn(run: Run, first: int, second: int) -> np.ndarray:
     return np.unwrap(np.concatenate([[start], jax.vmap(angle)(run.states)]))[1:] - start
 
 
+@pytest.mark.slow
 def test_each_motor_turns_its_own_flagellum(unequal):
     """At its own rate and in its own direction, about x, but for the twist of the shaft."""
     topology, times = unequal.scene.rod.topology, np.asarray(unequal.states.time)
@@ -395,7 +396,7 @@ def total_load(run: Run, load: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarr
 
 
 @pytest.mark.parametrize(
-    "name", ["equal", "unequal", pytest.param("branches", marks=pytest.mark.slow)]
+    "name", ["equal", *(pytest.param(n, marks=pytest.mark.slow) for n in ("unequal", "branches"))]
 )
 def test_swimming_is_free_of_force_and_torque(name, request):
     """What the fluid does to the flagella and to the head adds up to nothing."""
