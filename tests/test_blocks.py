@@ -33,6 +33,7 @@ ROBOTS: dict[str, dict[str, Any]] = {
     "clamped": {"kind": "clamped", "n_flagella": 2, "edge_length": 16e-3},
 }
 every_robot = pytest.mark.parametrize("name", ROBOTS)
+# What the others add to a clamp, a head within a rod, the tests of matrices have as well.
 a_clamp_at_least = pytest.mark.parametrize(
     "name",
     [pytest.param(name, marks=() if name == "clamped" else pytest.mark.slow) for name in ROBOTS],
@@ -209,13 +210,8 @@ def test_short_steps_are_solved_as_well_as_rounding_permits(large):
 
 run = jax.jit(march_frames, static_argnums=(2, 3))
 
-# What the others add to these, a head within a rod, the tests of matrices above have as well.
-of_both_kinds = [
-    pytest.param(name, marks=() if name == "clamped" else pytest.mark.slow) for name in ROBOTS
-]
 
-
-@pytest.mark.parametrize("name", of_both_kinds)
+@a_clamp_at_least
 def test_runs_agree_with_those_of_one_dense_matrix(name):
     dense, scene, state = both(name)
     (expected, _), (found, report) = (run(s, state, 1, 8, new_stats()) for s in (dense, scene))
