@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
+from itertools import product
 from typing import Any
 
 import jax
@@ -15,7 +16,7 @@ from derjax.core.pytree import Indices, replace
 from derjax.core.status import Status
 from derjax.integrate.frames import new_stats
 from derjax.integrate.step import predict
-from derjax.solve.blocks import Layout, multiply
+from derjax.solve.blocks import Layout
 from derjax.solve.contributions import Mobility
 from derjax.solve.potential import assemble
 from derjax.solve.saddle import SaddlePointSystem, no_drag
@@ -104,7 +105,7 @@ def test_rods_couple_neighbours_only_so_that_the_factor_is_exact(name, rng):
         saddle = saddle_of(scene, state)
         z = saddle.start(state.q)
         factor, _ = saddle.linearise(z, jnp.abs(z), saddle.scales, None, exact=True)
-        return factor.near.solve(multiply(factor.matrices, x) + factor.diagonal * x)
+        return factor.near.solve(factor.matrices @ x + factor.diagonal * x)
 
     x = free * rng.standard_normal(state.q.size)
     moves = free > 0
@@ -296,15 +297,17 @@ def test_memory_grows_with_the_number_of_nodes_and_no_faster():
 
 
 def test_groups_of_edges_find_what_all_pairs_find(rng, monkeypatch):
-    """Random rods, in a list that is long enough and in one that is not."""
+    """Random rods, in a list that is long enough and in one that is not, and also with all but
+    those looked at whose spheres are close."""
     _, scene, rest = both("branched")
     topology = scene.rod.topology
     first, second = np.triu_indices(topology.n_edges, 2)
     pairs = Indices(np.stack([first, second], axis=1))
     starts = [perturbed(scene.rod, rest, rng, size) for size in (0.3, 1.0)]
     lists: list[list[set[tuple[int, ...]]]] = []
-    for many in (10**9, 0):
+    for many, several in product((10**9, 0), repeat=2):
         monkeypatch.setattr(neighbourhood, "MANY", many)
+        monkeypatch.setattr(neighbourhood, "SEVERAL", several)
 
         @partial(jax.jit, static_argnums=1)
         def closest(x: jax.Array, capacity: int) -> tuple[jax.Array, jax.Array]:
@@ -318,7 +321,7 @@ def test_groups_of_edges_find_what_all_pairs_find(rng, monkeypatch):
             assert 0 < found <= 400
             lists[-1].append({tuple(e) for e in np.asarray(edges)[: int(found)].tolist()})
             assert closest(x, 3)[1] > 3
-    assert lists[0] == lists[1]
+    assert lists == 4 * lists[:1]
 
 
 def test_large_robots_are_solved_for_in_blocks_unless_told_otherwise():

@@ -17,7 +17,7 @@ from derjax import Scene, State, Topology, positions, roll_frames
 from derjax.core.pytree import replace
 from derjax.core.status import Status
 from derjax.integrate.schemes.euler import euler
-from derjax.solve.contributions import Pairs
+from derjax.solve.contributions import Contacts, Pairs
 from derjax.solve.newton import NewtonSettings
 from derjax.solve.potential import assemble
 from derjax.terms import Gravity, Inertia, Term
@@ -347,6 +347,23 @@ def test_what_turns_as_a_whole_does_not_come_closer_to_itself(rng):
     near = every_distance(nodes) < DIAMETER + float(found.margin)
     np.testing.assert_array_equal(listed, APART.array[near])
     assert float(reach(found, as_dofs(nodes), as_dofs(move))) == 1.0
+
+
+def test_pairs_that_go_by_their_law_and_the_others_are_all_that_touch():
+    """Second derivatives: a list with room for some of the pairs, and what is left beside it."""
+    nodes = placed(0.9 * DIAMETER, angle=0.25)
+    scene, state = free_rods(nodes)
+    pairs = share(contact_of(scene), scene.rod, state, scene.step_length)
+    assert isinstance(pairs, Contacts)
+    touching = int(np.sum(every_distance(nodes) < DIAMETER))
+    assert touching > FEW
+    near, rest = pairs.split(state.q, FEW)
+    assert int(near.mask.sum()) == FEW
+    assert 0 < int(rest.mask.sum()) <= touching - FEW < int(pairs.mask.sum()) - FEW
+    nothing = jnp.zeros((state.q.size,) * 2)
+    whole = pairs.add_hessian(nothing, state.q)
+    parts = rest.add_hessian(near.add_hessian(nothing, state.q), state.q)
+    np.testing.assert_allclose(parts, whole, rtol=1e-12, atol=1e-12 * float(jnp.abs(whole).max()))
 
 
 def test_rods_may_slide_along_each_other_but_not_approach_by_more_than_half():

@@ -13,18 +13,21 @@ is eliminated from the tips to the bases and then to the border, all filaments a
 takes time and memory in proportion to the number of nodes.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ..core.pytree import pytree, static
 from ..rods.topology import Topology
+from .contributions import LocalHessians
 from .dense import ridge
+
+T = TypeVar("T")
 
 
 @pytree
@@ -129,16 +132,49 @@ class Layout:
         return jnp.concatenate([blocks.ravel(), border])[where]
 
 
-LocalMatrices = Sequence[tuple[Any, Float[Array, "e k k"]]]
-"""Small matrices on the degrees of freedom (e, k) of elements, whose sum is a large one."""
+@pytree
+class SmallMatrices:
+    """A large matrix, as a sum of small ones on the degrees of freedom of elements.
 
+    Those of pairs that touch are zero as long as none does: then nothing is done with them.
 
-def multiply(matrices: LocalMatrices, q: Float[Array, " d"]) -> Float[Array, " d"]:
-    """The product of the sum of small matrices with a vector."""
-    product = jnp.zeros_like(q)
-    for dofs, blocks in matrices:
-        product = product.at[dofs].add(jnp.einsum("eij,ej->ei", blocks, q[dofs]))
-    return product
+    Attributes:
+        parts: for elements of one kind, their degrees of freedom (e, k) and matrices (e, k, k).
+        used: for every kind, whether any is other than zero; None where that need not be asked.
+    """
+
+    parts: LocalHessians
+    used: tuple[Bool[Array, ""] | None, ...]
+
+    @classmethod
+    def of(cls, parts: LocalHessians) -> "SmallMatrices":
+        """Those on stencils that are known before are always in use."""
+        known = (isinstance(dofs, np.ndarray) for dofs, _ in parts)
+        used = zip(parts, known, strict=True)
+        return cls(parts, tuple(None if k else jnp.any(m != 0.0) for (_, m), k in used))
+
+    @property
+    def absolute(self) -> "SmallMatrices":
+        """With the absolute values of all entries."""
+        return SmallMatrices(tuple((dofs, jnp.abs(m)) for dofs, m in self.parts), self.used)
+
+    def added(self, total: T, add: Callable[[T, Any, Array], T]) -> T:
+        """With what every kind in use adds to a total."""
+        for (dofs, matrices), used in zip(self.parts, self.used, strict=True):
+
+            def more(total: T, dofs: Any = dofs, matrices: Array = matrices) -> T:
+                return add(total, dofs, matrices)
+
+            total = more(total) if used is None else lax.cond(used, more, lambda same: same, total)
+        return total
+
+    def __matmul__(self, q: Float[Array, " d"]) -> Float[Array, " d"]:
+        """The product with a vector."""
+
+        def add(product: Array, dofs: Any, matrices: Array) -> Array:
+            return product.at[dofs].add(jnp.einsum("eij,ej->ei", matrices, q[dofs]))
+
+        return self.added(jnp.zeros_like(q), add)
 
 
 @pytree
@@ -172,7 +208,7 @@ class BlockMatrix:
 
 def assemble(
     layout: Layout,
-    matrices: LocalMatrices,
+    matrices: SmallMatrices,
     diagonal: Float[Array, " d"],
     drag: Float[Array, "f b k k"],
     free: Float[Array, " d"],
@@ -181,18 +217,20 @@ def assemble(
 
     Args:
         layout: the pattern. What couples other blocks is left out.
-        matrices: the small matrices.
+        matrices: the sum.
         diagonal: what is added to the diagonal.
         drag: added to the positions of every block, k = 3 m.
         free: 1 for degrees of freedom that may move, 0 for those that are held: the matrix is
             the identity on them.
     """
-    entries = jnp.zeros(sum(layout._sizes) + 1)
-    for dofs, blocks in matrices:
+
+    def add(entries: Array, dofs: Any, matrices: Array) -> Array:
         xp = np if isinstance(dofs, np.ndarray) else jnp
         places = layout._place(dofs[:, :, None], dofs[:, None, :], xp)
         both = free[dofs]
-        entries = entries.at[places].add(blocks * both[:, :, None] * both[:, None, :])
+        return entries.at[places].add(matrices * both[:, :, None] * both[:, None, :])
+
+    entries = matrices.added(jnp.zeros(sum(layout._sizes) + 1), add)
     every = np.arange(layout.topology.n_dofs)
     here = layout._place(every, every, np)
     entries = entries.at[here].add(jnp.where(free > 0, diagonal, 1.0))

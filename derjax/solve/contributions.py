@@ -262,16 +262,18 @@ class Contacts(Pairs):
         )
 
     def split(self, q: Dofs, most: int) -> tuple["Contacts", "Contacts"]:
-        """The closest pairs, up to some number, and a list of the same length without them.
+        """The closest pairs, up to some number, and a list of the same length of the others.
 
-        Pairs that are far from touching stay where they are.
+        Pairs that are far from touching are in neither: nothing comes of them.
         """
         size = min(most, len(self.dofs))
-        overlaps, chosen = lax.top_k(self.overlaps(q)[0], size)
+        every, _ = self.overlaps(q)
+        overlaps, chosen = lax.top_k(every, size)
         data = jax.tree.map(lambda leaf: leaf[chosen], self.data)
         mask = self.mask[chosen] & jax.vmap(self.potential.may_meet)(overlaps, data)
         near = replace(self, dofs=self.dofs[chosen], mask=mask, data=data)
-        return near, replace(self, mask=self.mask.at[chosen].set(self.mask[chosen] & ~mask))
+        touching = self.mask & (every > 0.0)
+        return near, replace(self, mask=touching.at[chosen].set(touching[chosen] & ~mask))
 
     def forces(self, overlaps: Float[Array, " b"]) -> Float[Array, " b"]:
         """N."""

@@ -19,7 +19,7 @@ def gmres(
     """The x with |A x - b| below `tolerance` |b|, by the method of generalised minimal residuals.
 
     Saad & Schultz, SIAM J. Sci. Stat. Comput. 7, 856, 1986; without restarts, and with every
-    direction made orthogonal to those before it twice. Where it does not get there in `most`
+    direction made orthogonal to each before it, twice. Where it does not get there in `most`
     products, the best x that they give.
 
     Args:
@@ -38,13 +38,19 @@ def gmres(
 
     def extend(carry):
         count, basis, triangle, left, cosines, sines = carry
-        new = product(basis[count])
-        once = basis @ new
-        new = new - once @ basis
-        twice = basis @ new
-        new = new - twice @ basis
+
+        # One by one: most systems need few of the directions that there is room for.
+        def without(k, given):
+            new, column = given
+            part = basis[k] @ new
+            return new - part * basis[k], column.at[k].add(part)
+
+        given = product(basis[count]), jnp.zeros(most + 1)
+        for _ in range(2):
+            given = lax.fori_loop(0, count + 1, without, given)
+        new, column = given
         length = jnp.sqrt(new @ new)
-        column = (once + twice).at[count + 1].set(length)
+        column = column.at[count + 1].set(length)
 
         def rotate(k, column):
             c, s, a, b = cosines[k], sines[k], column[k], column[k + 1]
@@ -77,5 +83,5 @@ def gmres(
     count, basis, triangle, left, _, _ = lax.while_loop(wanted, extend, start)
     known = jnp.where(jnp.arange(most) < count, left[:-1], 0.0)
     weights = lax.linalg.triangular_solve(triangle, known[:, None], left_side=True)[:, 0]
-    x = weights @ basis[:-1]
+    x = lax.fori_loop(0, count, lambda k, x: x + weights[k] * basis[k], jnp.zeros_like(b))
     return jnp.where(jnp.abs(left[count]) > worst * size, jnp.nan, x)

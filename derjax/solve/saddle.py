@@ -30,8 +30,8 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from ..core.pytree import Indices, pytree, static
-from .blocks import BlockFactor, Layout, assemble, factor_blocks, multiply
-from .contributions import Dofs, LocalHessians, Mobility, MobilityOperator
+from .blocks import BlockFactor, Layout, SmallMatrices, assemble, factor_blocks
+from .contributions import Dofs, Mobility, MobilityOperator
 from .gmres import gmres
 from .potential import Potential
 
@@ -174,13 +174,13 @@ class SaddlePointSystem:
                 "symmetric=False needs one dense matrix ([solver] method = 'dense')"
             )
         q, _ = self.split(z)
-        matrices, diagonal = self.potential.local_hessians(q), self.potential.diagonal(q)
+        matrices = SmallMatrices.of(self.potential.local_hessians(q))
+        diagonal = self.potential.diagonal(q)
         law = self.drag.law
         drag = law.resistance.reshape(*self.layout.nodes.shape[:2], *law.resistance.shape[1:])
         rough = assemble(self.layout, matrices, diagonal, drag / self.drag.time, self.free)
-        absolute = [(dofs, jnp.abs(blocks)) for dofs, blocks in matrices]
         size = self.split(sizes)[0]
-        rounding = multiply(absolute, size) + diagonal * size
+        rounding = matrices.absolute @ size + diagonal * size
         solver = SaddlePointFactor(
             self,
             matrices,
@@ -242,7 +242,7 @@ class SaddlePointFactor:
     """
 
     saddle: SaddlePointSystem
-    matrices: LocalHessians
+    matrices: SmallMatrices
     diagonal: Dofs
     law: MobilityOperator
     near: BlockFactor
@@ -251,7 +251,7 @@ class SaddlePointFactor:
     def _product(self, q: Dofs, f: Array) -> tuple[Dofs, Array]:
         """What changes of q and f do to the two equations: forces, and a displacement (m)."""
         s = self.saddle
-        force = multiply(self.matrices, q) + self.diagonal * q + s._spread(f)
+        force = self.matrices @ q + self.diagonal * q + s._spread(f)
         slip = q[s.drag.dofs.array] - s.drag.time * self.law.mv(f)
         return jnp.where(s.free > 0, force, q), slip
 
@@ -261,7 +261,7 @@ class SaddlePointFactor:
         known = s._spread(s.drag.law.precondition(slip)) / s.drag.time
         held = (1.0 - s.free) * b
         drag = s._spread(s.drag.law.precondition(held[s.drag.dofs.array])) / s.drag.time
-        stretched = multiply(self.matrices, held)
+        stretched = self.matrices @ held
         b = jnp.where(s.free > 0, b + known - drag - stretched, b)
         q = self.near.solve(b)
         return q, s.drag.law.precondition(q[s.drag.dofs.array] - slip) / s.drag.time
@@ -298,6 +298,6 @@ class SaddlePointFactor:
         wanted, slip = s.split(b)
         q, f = self._solve(s.free * wanted, slip)
         # What the free equations contain of those that are held.
-        moved = multiply(self.matrices, s.free * q) + s._spread(f)
+        moved = self.matrices @ (s.free * q) + s._spread(f)
         q = jnp.where(s.free > 0, q, wanted - moved)
         return s.join(q, f / stiffness)

@@ -97,7 +97,7 @@ class Grip:
 
     Attributes:
         dofs: (k, 14) degrees of freedom of each pair.
-        mask: (k,) which places of the list are in use.
+        mask: (k,) which places of the list are in use: by those that press each other.
         slip: (k, 3, 14) m per displacement.
         normal_force: (k,) N.
     """
@@ -140,7 +140,7 @@ class Friction(Term):
             lambda: jax.vmap(_pressed)(state.q[positions], contact.touch),
             lambda: (jnp.zeros((len(dofs), 3, 14)), jnp.zeros(len(dofs))),
         )
-        return Grip(dofs, close.mask, slips, normal_force)
+        return Grip(dofs, close.mask & (normal_force > 0.0), slips, normal_force)
 
     def contribution(self, rod: Rod, state: State, stage: Stage, cache: Grip) -> Pairs:
         data = SlipData(

@@ -33,6 +33,10 @@ GROUP = 8
 TINY = 1e-12
 """m: rods whose centre lines meet have no plane between them."""
 
+SEVERAL, PER_PLACE = 4096, 8
+"""Pairs of edges that are looked at more closely than by the spheres around them: so many, or so
+many for each place of the list of contacts where that is more."""
+
 CLOSE_GROUPS = 24
 """Pairs of groups, per group, that are looked at, or more where the list of contacts is longer."""
 
@@ -113,17 +117,45 @@ def _candidates(
     return edges, counts.ravel(), jnp.sum(near) > size
 
 
+def _thinned(
+    topology: Topology,
+    x: Float[Array, "n 3"],
+    edges: Int[Array, "c 2"],
+    counts: Bool[Array, " c"],
+    reach: Array,
+    capacity: int,
+) -> tuple[Int[Array, "c 2"], Bool[Array, " c"], Bool[Array, ""]]:
+    """Those of some pairs that hold all which are closer than `reach` (m), where they are many.
+
+    Like `_candidates`: which of them count, and whether there were too many.
+    """
+    most = max(SEVERAL, PER_PLACE * capacity)
+    if len(edges) <= most:
+        return edges, counts, jnp.array(False)
+    start, end = (x[topology.edge_nodes[:, k]] for k in (0, 1))
+    centre, radius = 0.5 * (start + end), 0.5 * norm(end - start)
+    first, second = edges.T
+    apart, room = centre[first] - centre[second], reach + radius[first] + radius[second]
+    near = counts & (dot(apart, apart) < room**2)
+    (chosen,) = jnp.nonzero(near, size=most, fill_value=0)
+    number = jnp.sum(near)
+    return edges[chosen], jnp.arange(most) < number, number > most
+
+
 def _nodes_of(topology: Topology, edges: Int[Array, "c 2"]) -> Int[Array, "c 4"]:
     """Start and end of both edges."""
     return jnp.asarray(topology.edge_nodes)[edges].reshape(-1, 4)
 
 
 def _nearest(
-    topology: Topology, x: Float[Array, "n 3"], pairs: Indices, diameter: Array
-) -> Float[Array, ""]:
-    """The smallest distance (m) of two edges that can touch, if it is less than a diameter."""
-    edges, counts, _ = _candidates(topology, x, pairs, diameter)
-    return jnp.min(jnp.where(counts, distance(x[_nodes_of(topology, edges)]), jnp.inf))
+    topology: Topology, x: Float[Array, "n 3"], pairs: Indices, diameter: Array, capacity: int
+) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+    """The smallest distance (m) of two edges that can touch, if it is less than a diameter, and
+    whether there were too many pairs to look at them all."""
+    edges, counts, overflow = _candidates(topology, x, pairs, diameter, capacity)
+    edges, counts, more = _thinned(topology, x, edges, counts, diameter, capacity)
+    apart = distance(x[_nodes_of(topology, edges)])
+    return jnp.min(jnp.where(counts, apart, jnp.inf)), overflow | more
 
 
 def _apart(pairs: Float[Array, "k 4 3"]) -> tuple[Float[Array, "k 3"], Float[Array, "k 2 2 3"]]:
@@ -173,6 +205,7 @@ def closest(
         capacity: of the list.
     """
     edges, counts, overflow = _candidates(topology, x, pairs, reach, capacity)
+    edges, counts, more = _thinned(topology, x, edges, counts, reach, capacity)
     nodes = _nodes_of(topology, edges)
     gap, _ = _apart(x[nodes])
     apart = norm(gap)
@@ -181,7 +214,7 @@ def closest(
     least = apart + jnp.minimum(jnp.min(speed, axis=(1, 2)), 0.0) / jnp.maximum(apart, TINY)
     close = counts & (apart < reach) & (least < within)
     (chosen,) = jnp.nonzero(close, size=capacity, fill_value=0)
-    return edges[chosen], jnp.where(overflow, capacity + 1, jnp.sum(close))
+    return edges[chosen], jnp.where(overflow | more, capacity + 1, jnp.sum(close))
 
 
 @pytree
@@ -249,14 +282,15 @@ class Neighbours:
         """Whether the list was too short, or a step that ends at `q` cannot be accepted."""
         x = self._nodes(q)
         astray = 2.0 * jnp.sqrt(jnp.max(jnp.sum((x - self.expected) ** 2, axis=1)))
-        nearest = lax.cond(
+        places = len(self.nodes)
+        nearest, unseen = lax.cond(
             astray > self.margin,  # then pairs that were not listed may touch
-            lambda: _nearest(self.topology, x, self.pairs, self.diameter),
-            lambda: jnp.min(self._distances(x)),
+            lambda: _nearest(self.topology, x, self.pairs, self.diameter, places),
+            lambda: (jnp.min(self._distances(x)), jnp.array(False)),
         )
         return jnp.select(
             [
-                self.found > len(self.nodes),
+                (self.found > places) | unseen,
                 astray > self.margin + self.diameter,
                 nearest < (1.0 - PENETRATION) * self.diameter,
             ],

@@ -31,6 +31,7 @@ from ...solve.blocks import Layout
 from ...solve.contributions import Mobility
 from ..term import Prediction, Role, Stage, Term
 from .domain import FREE_SPACE, Domain
+from .kernels import joined
 
 NEAR = 6
 """Pairs of blocks that are treated segment by segment, per block."""
@@ -258,18 +259,18 @@ def _block(
     starts = jnp.where(there, around[:-1], spare[0])
     ends = jnp.where(there, around[1:], spare[1])
     m1, m2 = segments.domain.segment_kernels(targets, starts, ends, segments.regularization)
-    m1, m2 = linked * m1, linked * m2
-    if segments.end_nodes == "half":
-        edge = ends - starts
-        length = linked * jnp.sqrt(jnp.sum(edge * edge, axis=1))
+    edge = ends - starts
+    length = linked * jnp.sqrt(jnp.sum(edge * edge, axis=1))
+    if segments.end_nodes == "full":
+        length, stands_for = linked, 1.0
+    else:
         stands_for = 0.5 * (length[:-1] + length[1:])
         stands_for = jnp.where(stands_for > 0.0, stands_for, 1.0)
-        columns = (length[:-1] * m2[..., :-1] + length[1:] * m1[..., 1:]) / stands_for
-    else:
-        columns = m2[..., :-1] + m1[..., 1:]
-    size = targets.size
-    matrix = columns.transpose(2, 0, 3, 1).reshape(size, size)
-    return matrix / (8.0 * jnp.pi * segments.viscosity)
+
+    def of_node(m1: Float[Array, "m m+1"], m2: Float[Array, "m m+1"]) -> Float[Array, "m m"]:
+        return (length[:-1] * m2[:, :-1] + length[1:] * m1[:, 1:]) / stands_for
+
+    return joined(jax.tree.map(of_node, m1, m2)) / (8.0 * jnp.pi * segments.viscosity)
 
 
 def _close_pairs(layout: Layout, x: Float[Array, "b m 3"], there: np.ndarray) -> Int[Array, "p 2"]:

@@ -8,6 +8,8 @@ class that derives from `Domain`, in a file of its own; a scene is put into it b
 `replace(term, domain=Wall(...))` of the term that is the drag on its filaments.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -126,8 +128,9 @@ class Domain:
         starts: Float[Array, "s 3"],
         ends: Float[Array, "s 3"],
         regularization: Array,
-    ) -> tuple[Float[Array, "3 3 n s"], Float[Array, "3 3 n s"]]:
-        """M1 and M2 (1/m) of every segment: `segment_flow` is M1 at_start + M2 at_end.
+    ) -> tuple[kernels.Components, kernels.Components]:
+        """M1 and M2 (1/m) of every segment at every target: `segment_flow` is
+        M1 at_start + M2 at_end. Each component is (n, s).
 
         What the boundary adds is found segment by segment, from unit densities.
         """
@@ -144,8 +147,12 @@ class Domain:
         added = jax.vmap(of_one)(starts, ends)
         if added is None:
             return m1, m2
-        added = added.transpose(1, 3, 2, 0)  # unit densities, directions of flow, targets, segments
-        return m1 + added[:3].swapaxes(0, 1), m2 + added[3:].swapaxes(0, 1)
+        added = added.transpose(3, 1, 2, 0)  # directions of flow, unit densities, targets, segments
+
+        def with_added(free: kernels.Components, more: Float[Array, "3 3 n s"]) -> Any:
+            return jax.tree.map(jnp.add, free, tuple(tuple(row) for row in more))
+
+        return with_added(m1, added[:, :3]), with_added(m2, added[:, 3:])
 
 
 def _sum(free: Array, added: Array | None) -> Array:

@@ -20,6 +20,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+Components = tuple[tuple[Array, Array, Array], ...]
+"""The 3 x 3 components of a tensor, each an array of its own: as one array they would take twice
+the time, and those of a symmetric one are found once."""
+
 
 class Moments(NamedTuple):
     """T_mq = int_0^1 a^m R(a)^-q da of a segment, in the units of R^-q."""
@@ -55,19 +59,35 @@ def segment_kernels(
     starts: Float[Array, "s 3"],
     ends: Float[Array, "s 3"],
     regularization: Array,
-) -> tuple[Float[Array, "3 3 n s"], Float[Array, "3 3 n s"]]:
-    """The kernels M1 and M2 (1/m) of every segment at every target."""
+) -> tuple[Components, Components]:
+    """The kernels M1 and M2 (1/m), symmetric, of every segment at every target: each (n, s)."""
     v, x0, t = _moments(
         targets.T[:, :, None], starts.T[:, None, :], ends.T[:, None, :], regularization
     )
-    # The dyads of the equations, put together by what stands on their left.
-    identity = jnp.eye(3)[:, :, None, None]
     isotropic1 = t.t01 + regularization**2 * t.t03
     isotropic2 = t.t11 + regularization**2 * t.t13
-    t0, t1, t2 = (a * x0 + b * v for a, b in ((t.t03, t.t13), (t.t13, t.t23), (t.t23, t.t33)))
-    m2 = isotropic2 * identity + x0[:, None] * t1 + v[:, None] * t2
-    m1 = (isotropic1 - isotropic2) * identity + x0[:, None] * (t0 - t1) + v[:, None] * (t1 - t2)
+
+    def both(i: int, j: int) -> tuple[Array, Array]:
+        xx, xv, vv = x0[i] * x0[j], x0[i] * v[j] + v[i] * x0[j], v[i] * v[j]
+        m1 = t.t03 * xx + t.t13 * xv + t.t23 * vv
+        m2 = t.t13 * xx + t.t23 * xv + t.t33 * vv
+        if i == j:
+            m1, m2 = m1 + isotropic1, m2 + isotropic2
+        return m1 - m2, m2
+
+    xx, xy, xz, yy, yz, zz = (both(i, j) for i in range(3) for j in range(i, 3))
+    m1, m2 = (
+        ((xx[k], xy[k], xz[k]), (xy[k], yy[k], yz[k]), (xz[k], yz[k], zz[k])) for k in range(2)
+    )
     return m1, m2
+
+
+def joined(components: Components) -> Float[Array, "3n 3m"]:
+    """One matrix, with the component (n, m) of row i and column j at rows 3 a + i and columns
+    3 b + j."""
+    rows = jnp.stack([jnp.stack(row, axis=-1) for row in components], axis=1)
+    n, _, m, _ = rows.shape
+    return rows.reshape(3 * n, 3 * m)
 
 
 def segment_flow(

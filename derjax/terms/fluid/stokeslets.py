@@ -23,12 +23,23 @@ from ...solve.contributions import Quadratic
 from ...solve.dense import inverse as inverted
 from ..term import Prediction, Role, Stage, Term
 from .domain import FREE_SPACE, Domain
+from .kernels import joined
 
 
 def _by_node(starts: Float[Array, "*b s"], ends: Float[Array, "*b s"]) -> Float[Array, "*b n"]:
     """Sums over the segments of a filament what belongs to the nodes they start and end at."""
     inner = starts[..., 1:] + ends[..., :-1]
     return jnp.concatenate([starts[..., :1], inner, ends[..., -1:]], axis=-1)
+
+
+def _weighted(
+    length: Float[Array, " s"],
+    stands_for: Float[Array, " n"],
+    starts: Float[Array, "*b s"],
+    ends: Float[Array, "*b s"],
+) -> Float[Array, "*b n"]:
+    """The same of what is given for a density, by the force on a node over its length of rod."""
+    return _by_node(length * starts, length * ends) / stands_for
 
 
 def mobility(
@@ -56,12 +67,13 @@ def mobility(
         m1, m2 = domain.segment_kernels(targets, nodes[:-1], nodes[1:], regularization)
         if end_nodes == "half":
             length = _lengths(nodes)
-            columns.append(_by_node(length * m1, length * m2) / _by_node(length / 2, length / 2))
+            stands_for = _by_node(length / 2, length / 2)
+            of_node = partial(_weighted, length, stands_for)
         else:
-            columns.append(_by_node(m1, m2))
-    matrix = jnp.concatenate(columns, axis=-1) / (8.0 * jnp.pi * viscosity)
-    size = 3 * targets.shape[0]
-    return matrix.transpose(2, 0, 3, 1).reshape(size, size)
+            of_node = _by_node
+        columns.append(jax.tree.map(of_node, m1, m2))
+    whole = jax.tree.map(lambda *parts: jnp.concatenate(parts, axis=-1), *columns)
+    return joined(whole) / (8.0 * jnp.pi * viscosity)
 
 
 def flow(
