@@ -8,6 +8,7 @@ import pytest
 from derjax.core.pytree import Indices
 from derjax.core.status import Status
 from derjax.solve.contributions import Elements
+from derjax.solve.dense import factor_or_with
 from derjax.solve.local import Autodiff
 from derjax.solve.newton import NewtonSettings, equilibrium
 from derjax.solve.potential import assemble
@@ -70,3 +71,19 @@ def test_rounding_of_a_large_potential_stops_no_step():
     q, info = jax.vmap(lambda start: equilibrium(potential, start, settings, None))(starts)
     np.testing.assert_array_equal(info.status, Status.OK)
     np.testing.assert_allclose(q, 0.0, atol=1e-11)
+
+
+def test_what_another_matrix_holds_needs_nothing_else():
+    """Contact's stiffness is added to a matrix that is not stable without it, before a ridge is."""
+    unit, b = jnp.ones(3), jnp.array([1.0, 2.0, 3.0])
+    soft = jnp.array([[-1.0, 0.5, 0.0], [0.5, 2.0, 0.0], [0.0, 0.0, 1.0]])
+    stiffness = jnp.diag(jnp.array([5.0, 0.0, 0.0]))
+    found, alone = factor_or_with(soft, unit, lambda: stiffness)
+    assert not alone
+    np.testing.assert_allclose((soft + stiffness) @ found.solve(b), b, rtol=1e-13)
+    found, alone = factor_or_with(soft + stiffness, unit, lambda: stiffness)
+    assert alone
+    np.testing.assert_allclose((soft + stiffness) @ found.solve(b), b, rtol=1e-13)
+    found, alone = factor_or_with(soft, unit, lambda: 0.01 * stiffness)
+    assert not alone
+    assert found.solve(b) @ b > 0.0

@@ -1,5 +1,6 @@
 """Direct solution of the Newton systems: factor once, solve for many right-hand sides."""
 
+from collections.abc import Callable
 from typing import Protocol
 
 import jax.numpy as jnp
@@ -127,6 +128,31 @@ def factor(matrix: Matrix, symmetric: bool, unit: Array) -> Factor:
     """
     if not symmetric:
         return LU(*lu_factor(matrix))
+    return _definite(matrix, unit, None)[0]
+
+
+def factor_or_with(
+    matrix: Matrix, unit: Array, more: Callable[[], Matrix]
+) -> tuple[Factor, Bool[Array, ""]]:
+    """Factor a symmetric matrix, or its sum with another where it is not positive definite.
+
+    Args:
+        matrix: to factor.
+        unit: N and N m, of each degree of freedom.
+        more: gives the other matrix, to which a multiple of the `ridge` may be added as well.
+
+    Returns:
+        The factor, and whether it is that of the matrix alone.
+    """
+    found, shift = _definite(matrix, unit, more)
+    return found, shift < 0.0
+
+
+def _definite(
+    matrix: Matrix, unit: Array, more: Callable[[], Matrix] | None
+) -> tuple[Cholesky, Array]:
+    """The factor of a matrix made positive definite, and how many ridges were added to it: -1 if
+    it is as it was, without what there may be more."""
     # What follows from the diagonal alone: every look at a whole matrix takes as long as a tenth of
     # its factor. Where it is positive, a zero on the diagonal is in a row of zeros.
     diagonal = jnp.diagonal(matrix)
@@ -134,17 +160,19 @@ def factor(matrix: Matrix, symmetric: bool, unit: Array) -> Factor:
     matrix = _held(matrix, diagonal == 0.0)
 
     def retry(carry):
-        lower, shift = carry
-        del lower
-        shift = jnp.where(shift == 0.0, 1e-8, 10.0 * shift)
-        return lax.linalg.cholesky(matrix + jnp.diag(shift * added)), shift
+        _, shift = carry
+        least = 1e-8 if more is None else jnp.where(shift < 0.0, 0.0, 1e-8)
+        shift = jnp.where(shift <= 0.0, least, 10.0 * shift)
+        whole = matrix if more is None else matrix + more()
+        return lax.linalg.cholesky(whole + jnp.diag(shift * added)), shift
 
     def indefinite(carry):
         lower, shift = carry
         return jnp.isnan(lower[-1, -1]) & (shift < 1e4)
 
     lower = lax.linalg.cholesky(matrix, symmetrize_input=False)
-    return Cholesky(lax.while_loop(indefinite, retry, (lower, jnp.zeros(())))[0])
+    lower, shift = lax.while_loop(indefinite, retry, (lower, jnp.array(-1.0)))
+    return Cholesky(lower), shift
 
 
 def factor_as_it_is(matrix: Matrix, symmetric: bool) -> Factor:

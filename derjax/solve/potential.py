@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..core.pytree import pytree
+from ..core.pytree import pytree, replace
 from ..core.status import Status
 from .contributions import Contacts, Contribution, Dofs, Guard, LocalHessians, Matrix
-from .dense import Factor, factor, factor_as_it_is
-from .touching import LISTED, TouchingFactor, direction, touching_factor
+from .dense import Factor, factor, factor_as_it_is, factor_or_with
+from .touching import LISTED, TouchingFactor, direction, normals_of, touching_factor
 
 
 @pytree
@@ -125,8 +125,15 @@ class Potential:
         pressed = 2.0 * near.stiffnesses(p) * jnp.sum(felt * sizes[near.dofs], axis=1)
         rounding = jnp.abs(matrix) @ sizes
         rounding = rounding.at[near.dofs].add(felt * pressed[:, None])
-        smooth = factor(matrix[chosen][:, chosen], True, unit[chosen])
-        return touching_factor(smooth, near, slopes, q.size, chosen), rounding
+        normals = normals_of(near, slopes, q.size, chosen)
+        # Where only the stiffness of contact holds the rods, all goes by the tangent.
+        smooth, alone = factor_or_with(
+            matrix[chosen][:, chosen],
+            unit[chosen],
+            lambda: (normals.T * near.stiffnesses(p)) @ normals,
+        )
+        near = replace(near, mask=near.mask & alone)
+        return touching_factor(smooth, near, normals), rounding
 
 
 def assemble(contributions: Sequence[Contribution]) -> Potential:

@@ -13,6 +13,9 @@ the end,
 
 Each has one solution as F grows with p', and Newton's method for it starts where nothing holds the
 pairs apart: from there it goes down without passing by the solution.
+
+That needs an A which is positive definite. Rods that are pressed together, and slide, may be held
+by nothing but the stiffness of their contact; then they go by the tangent of all.
 """
 
 from typing import Any
@@ -54,22 +57,31 @@ class TouchingFactor:
     compliance: Float[Array, "m m"]
 
 
-def touching_factor(
-    smooth: Factor,
-    contacts: Contacts,
-    slopes: Float[Array, "m k"],
-    size: int,
-    chosen: Any,
-) -> TouchingFactor:
-    """From the factor of all but contact, and the derivatives of the overlaps."""
+def normals_of(
+    contacts: Contacts, slopes: Float[Array, "m k"], size: int, chosen: Any
+) -> Float[Array, "m f"]:
+    """How the chosen ones of all degrees of freedom change the overlaps.
+
+    Args:
+        contacts: pairs.
+        slopes: the derivatives of their overlaps.
+        size: d, of all degrees of freedom.
+        chosen: the free ones.
+    """
     rows = jnp.arange(len(slopes))[:, None]
-    normals = jnp.zeros((len(slopes), size)).at[rows, contacts.dofs].add(slopes)[:, chosen]
+    return jnp.zeros((len(slopes), size)).at[rows, contacts.dofs].add(slopes)[:, chosen]
+
+
+def touching_factor(
+    smooth: Factor, contacts: Contacts, normals: Float[Array, "m f"]
+) -> TouchingFactor:
+    """From the factor of all but contact, and how the overlaps change."""
 
     def compute() -> tuple[Array, Array]:
         given = smooth.solve(normals.T)
         return given, normals @ given
 
-    nothing = jnp.zeros_like(normals.T), jnp.zeros((len(slopes),) * 2)
+    nothing = jnp.zeros_like(normals.T), jnp.zeros((len(normals),) * 2)
     return TouchingFactor(
         contacts, smooth, normals, *lax.cond(jnp.any(contacts.mask), compute, lambda: nothing)
     )
