@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..core.pytree import pytree, replace
+from ..core.pytree import pytree
 from ..core.status import Status
 from .contributions import Contacts, Contribution, Dofs, Guard, LocalHessians, Matrix
 from .dense import Factor, factor, factor_as_it_is, factor_or_with
@@ -126,14 +126,12 @@ class Potential:
         rounding = jnp.abs(matrix) @ sizes
         rounding = rounding.at[near.dofs].add(felt * pressed[:, None])
         normals = normals_of(near, slopes, q.size, chosen)
-        # Where only the stiffness of contact holds the rods, all goes by the tangent.
+        stiffness = near.stiffnesses(p)
         smooth, alone = factor_or_with(
-            matrix[chosen][:, chosen],
-            unit[chosen],
-            lambda: (normals.T * near.stiffnesses(p)) @ normals,
+            matrix[chosen][:, chosen], unit[chosen], lambda: (normals.T * stiffness) @ normals
         )
-        near = replace(near, mask=near.mask & alone)
-        return touching_factor(smooth, near, normals), rounding
+        taken = jnp.where(alone, 0.0, stiffness)
+        return touching_factor(smooth, near, taken, normals), rounding
 
 
 def assemble(contributions: Sequence[Contribution]) -> Potential:

@@ -15,7 +15,8 @@ Each has one solution as F grows with p', and Newton's method for it starts wher
 pairs apart: from there it goes down without passing by the solution.
 
 That needs an A which is positive definite. Rods that are pressed together, and slide, may be held
-by nothing but the stiffness of their contact; then they go by the tangent of all.
+by nothing but the stiffness of their contact. Then A has that as well, where they are now, and F is
+what is left of the law.
 """
 
 from typing import Any
@@ -45,6 +46,7 @@ class TouchingFactor:
     Attributes:
         contacts: the pairs that go by their law.
         smooth: the factor of A, of the free degrees of freedom.
+        taken: (m,) N/m, stiffness of the pairs that is in A.
         normals: (m, f) N, how these change the overlaps.
         given: (f, m) A^-1 N^T, m/N.
         compliance: (m, m) W, m/N.
@@ -52,6 +54,7 @@ class TouchingFactor:
 
     contacts: Contacts
     smooth: Factor
+    taken: Float[Array, " m"]
     normals: Float[Array, "m f"]
     given: Float[Array, "f m"]
     compliance: Float[Array, "m m"]
@@ -73,29 +76,34 @@ def normals_of(
 
 
 def touching_factor(
-    smooth: Factor, contacts: Contacts, normals: Float[Array, "m f"]
+    smooth: Factor, contacts: Contacts, taken: Float[Array, " m"], normals: Float[Array, "m f"]
 ) -> TouchingFactor:
-    """From the factor of all but contact, and how the overlaps change."""
+    """From the factor of all but contact, the stiffness of contact that it has none the less, and
+    how overlaps change."""
 
     def compute() -> tuple[Array, Array]:
         given = smooth.solve(normals.T)
         return given, normals @ given
 
     nothing = jnp.zeros_like(normals.T), jnp.zeros((len(normals),) * 2)
-    return TouchingFactor(
-        contacts, smooth, normals, *lax.cond(jnp.any(contacts.mask), compute, lambda: nothing)
-    )
+    known = lax.cond(jnp.any(contacts.mask), compute, lambda: nothing)
+    return TouchingFactor(contacts, smooth, taken, normals, *known)
 
 
 def direction(factor: TouchingFactor, q: Dofs, gradient: Float[Array, " f"]) -> Float[Array, " f"]:
     """Where forces balance if contact goes by its law, and all else by its tangent."""
     contacts, free = factor.contacts, -factor.smooth.solve(gradient)
+    alone = jnp.all(factor.taken == 0.0)
+
+    def excess(p: Array) -> Array:
+        """N, the force but for what the stiffness that is taken makes of it."""
+        return contacts.forces(p) - factor.taken * p
 
     def with_contact() -> Array:
         now, _ = contacts.overlaps(q)
-        before = contacts.forces(now)
+        before, onward = excess(now), now + factor.normals @ free
         # Where pairs would go without the forces that hold them apart.
-        apart = now + factor.normals @ free + factor.compliance @ before
+        apart = onward + factor.compliance @ before
 
         def wanted(carry):
             count, _, change = carry
@@ -103,15 +111,18 @@ def direction(factor: TouchingFactor, q: Dofs, gradient: Float[Array, " f"]) -> 
 
         def closer(carry):
             count, p, _ = carry
-            left = p - apart + factor.compliance @ contacts.forces(p)
-            slope = jnp.eye(p.size) + factor.compliance * contacts.stiffnesses(p)
+            left = p - apart + factor.compliance @ excess(p)
+            slope = jnp.eye(p.size) + factor.compliance * (contacts.stiffnesses(p) - factor.taken)
             change = -jnp.linalg.solve(slope, left)
             new = p + change
             far = jnp.max(jnp.abs(change)) > CLOSE * jnp.max(new)
             return count + 1, new, far & (jnp.max(new) > 0.0)
 
-        start = (jnp.zeros((), jnp.int32), apart, jnp.array(True))
-        end = lax.while_loop(wanted, closer, start)[1]
-        return free - factor.given @ (contacts.forces(end) - before)
+        start = jnp.where(alone, apart, onward)
+        start = (jnp.zeros((), jnp.int32), start, jnp.array(True))
+        _, end, far = lax.while_loop(wanted, closer, start)
+        found = free - factor.given @ (excess(end) - before)
+        # Only a stable A has one solution, and one that leads down: else there is the tangent.
+        return jnp.where(alone | (~far & (found @ gradient < 0.0)), found, free)
 
     return lax.cond(jnp.any(contacts.mask), with_contact, lambda: free)
