@@ -27,6 +27,11 @@ JAM = (
     "limited torque do not."
 )
 
+STEP = (
+    "Phases that slip by less than a turn have no period: motors of limited torque keep in step, "
+    "and their bundles last."
+)
+
 PAPER_CYCLE = 60.0
 """s: 10 s of bundling and 50 s of unbundling, with motors that are good to 1 rpm."""
 
@@ -135,24 +140,29 @@ def unbundling(length: studies.Length, found: Finder, output: Path) -> str:
         done = result.numbers["status"] == "ok"
         period, duty, amplitude = cycle(result.series) if done else (np.nan,) * 3
         mismatch = result.numbers["mismatch_rpm"]
+        slipped = float(result.series["phase_difference"].iloc[-1]) / (2 * np.pi)
+        if abs(slipped) < 1.0:
+            period = duty = np.nan
         rows.append(
             {
                 "name": name,
                 **{k: result.numbers[k] for k in ("motor", "mismatch_rpm", "friction")},
                 "separation_mm": result.numbers["separation_mm"],
                 "one_turn_s": 60.0 / mismatch if mismatch else np.nan,
-                "period_s": period if mismatch else np.nan,
-                "bundled_s": duty * period if mismatch else np.nan,
+                "period_s": period,
+                "bundled_s": duty * period,
                 "amplitude": amplitude,
                 "mean": result.numbers["bundle_fraction"],
-                "slipped_turns": float(result.series["phase_difference"].iloc[-1]) / (2 * np.pi),
+                "slipped_turns": slipped,
                 "status": result.numbers["status"],
             }
         )
     cycles = pd.DataFrame(rows)
     _save(figures.unbundling(results, cycles), output, "unbundling")
     cycles.to_csv(output / "paper_unbundling.csv", index=False, float_format="%.6g")
-    text = f"## Unbundling\n\nThe paper's cycle: 10 s bundled of {PAPER_CYCLE:g} s. {JAM}\n\n"
+    text = (
+        f"## Unbundling\n\nThe paper's cycle: 10 s bundled of {PAPER_CYCLE:g} s. {JAM} {STEP}\n\n"
+    )
     text += shown(cycles, *cycles.columns[1:]) + "\n![Unbundling](paper_unbundling.png)\n"
     if length is not studies.WHOLE:
         return text
