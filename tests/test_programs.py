@@ -133,6 +133,27 @@ def test_another_structure_is_another_program(changes):
     same(found, jax.jit(shared, static_argnums=0)(*arguments(**changes)))
 
 
+def test_what_was_compiled_for_one_class_never_runs_for_another():
+    """Many of the same shape, with one function: what each makes of it is its own."""
+
+    def number(k: int) -> type:
+        @pytree
+        class Number:
+            leaf: jax.Array
+            name: str = static(default="the same")
+
+            def value(self) -> jax.Array:
+                return self.leaf + k
+
+        return Number
+
+    numbers = [number(k)(jnp.zeros(())) for k in range(60)]
+    structures = [jax.tree.structure(n) for n in numbers]
+    assert all((a == b) == (a is b) for a in structures for b in structures)
+    value = jax.jit(lambda n: n.value())
+    assert [int(value(n)) for n in numbers * 2] == [*range(60)] * 2
+
+
 def test_functions_are_told_apart_by_their_names():
     for power in (twice, thrice, twice, thrice):
         found = process()(*arguments(power=power))

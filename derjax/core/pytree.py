@@ -6,7 +6,7 @@ one rule is what "static structure apart from differentiable parameters" means i
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, TypeVar, dataclass_transform
 
 import jax
@@ -41,7 +41,32 @@ def pytree(cls: type[T]) -> type[T]:
     made = dataclasses.dataclass(frozen=True)(cls)
     fields = dataclasses.fields(made)  # pyright: ignore[reportArgumentType]
     leaves = tuple(f.name for f in fields if not f.metadata.get("static", False))
-    return jax.tree_util.register_dataclass(made)
+    statics = tuple(f.name for f in fields if f.metadata.get("static", False))
+    _register(made, leaves, statics)
+    return made
+
+
+def _register(cls: type[Any], leaves: tuple[str, ...], statics: tuple[str, ...]) -> None:
+    """Tell JAX how to look into a class.
+
+    Not by `jax.tree_util.register_dataclass`: to jaxlib (0.10.1), two classes that are registered
+    so are the same structure if they have as many leaves and equal static values, so that once in
+    a while the program that was compiled for one of them runs for the other.
+    """
+    names, keys = leaves + statics, tuple(jax.tree_util.GetAttrKey(name) for name in leaves)
+
+    def children(tree: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+        own = tree.__dict__
+        return tuple([own[name] for name in leaves]), tuple([own[name] for name in statics])
+
+    def with_keys(tree: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+        values, structure = children(tree)
+        return tuple(zip(keys, values, strict=True)), structure
+
+    def made_of(structure: tuple[Any, ...], values: Iterable[Any]) -> Any:
+        return cls(**dict(zip(names, (*values, *structure), strict=True)))
+
+    jax.tree_util.register_pytree_with_keys(cls, with_keys, made_of, children)
 
 
 def replace(tree: T, **changes: Any) -> T:

@@ -88,10 +88,30 @@ def _grouped(n_edges: int, pairs: Indices) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def _candidates(
-    topology: Topology, x: Float[Array, "n 3"], pairs: Indices, reach: Array, most: int = 0
+    topology: Topology, x: Float[Array, "n 3"], pairs: Indices, reach: Array, capacity: int
 ) -> tuple[Int[Array, "c 2"], Bool[Array, " c"], Bool[Array, ""]]:
     """Pairs of edges that hold all those closer than `reach` (m), which of them count, and
-    whether there were more pairs of groups than are looked at, `most` or more of them."""
+    whether there were too many to find them all, for a list of so many contacts."""
+    edges, counts, overflow = _by_groups(topology, x, pairs, reach, capacity)
+    most = max(SEVERAL, PER_PLACE * capacity)
+    if len(edges) <= most:
+        return edges, counts, overflow
+    start, end = (x[topology.edge_nodes[:, k]] for k in (0, 1))
+    centre, radius = 0.5 * (start + end), 0.5 * norm(end - start)
+    first, second = edges.T
+    apart, room = centre[first] - centre[second], reach + radius[first] + radius[second]
+    near = counts & (dot(apart, apart) < room**2)
+    (chosen,) = jnp.nonzero(near, size=most, fill_value=0)
+    number = jnp.sum(near)
+    return edges[chosen], jnp.arange(most) < number, overflow | (number > most)
+
+
+def _by_groups(
+    topology: Topology, x: Float[Array, "n 3"], pairs: Indices, reach: Array, most: int
+) -> tuple[Int[Array, "c 2"], Bool[Array, " c"], Bool[Array, ""]]:
+    """Likewise the pairs of edges in groups of which the spheres come close, in large robots;
+    of other robots all pairs. Too many are more pairs of groups than are looked at, which are
+    `most` of them or more."""
     if len(pairs.array) <= MANY:
         return jnp.asarray(pairs.array), jnp.ones(len(pairs.array), bool), jnp.array(False)
     groups, couples, partners = _grouped(topology.n_edges, pairs)
@@ -117,31 +137,6 @@ def _candidates(
     return edges, counts.ravel(), jnp.sum(near) > size
 
 
-def _thinned(
-    topology: Topology,
-    x: Float[Array, "n 3"],
-    edges: Int[Array, "c 2"],
-    counts: Bool[Array, " c"],
-    reach: Array,
-    capacity: int,
-) -> tuple[Int[Array, "c 2"], Bool[Array, " c"], Bool[Array, ""]]:
-    """Those of some pairs that hold all which are closer than `reach` (m), where they are many.
-
-    Like `_candidates`: which of them count, and whether there were too many.
-    """
-    most = max(SEVERAL, PER_PLACE * capacity)
-    if len(edges) <= most:
-        return edges, counts, jnp.array(False)
-    start, end = (x[topology.edge_nodes[:, k]] for k in (0, 1))
-    centre, radius = 0.5 * (start + end), 0.5 * norm(end - start)
-    first, second = edges.T
-    apart, room = centre[first] - centre[second], reach + radius[first] + radius[second]
-    near = counts & (dot(apart, apart) < room**2)
-    (chosen,) = jnp.nonzero(near, size=most, fill_value=0)
-    number = jnp.sum(near)
-    return edges[chosen], jnp.arange(most) < number, number > most
-
-
 def _nodes_of(topology: Topology, edges: Int[Array, "c 2"]) -> Int[Array, "c 4"]:
     """Start and end of both edges."""
     return jnp.asarray(topology.edge_nodes)[edges].reshape(-1, 4)
@@ -153,9 +148,8 @@ def _nearest(
     """The smallest distance (m) of two edges that can touch, if it is less than a diameter, and
     whether there were too many pairs to look at them all."""
     edges, counts, overflow = _candidates(topology, x, pairs, diameter, capacity)
-    edges, counts, more = _thinned(topology, x, edges, counts, diameter, capacity)
     apart = distance(x[_nodes_of(topology, edges)])
-    return jnp.min(jnp.where(counts, apart, jnp.inf)), overflow | more
+    return jnp.min(jnp.where(counts, apart, jnp.inf)), overflow
 
 
 def _apart(pairs: Float[Array, "k 4 3"]) -> tuple[Float[Array, "k 3"], Float[Array, "k 2 2 3"]]:
@@ -205,7 +199,6 @@ def closest(
         capacity: of the list.
     """
     edges, counts, overflow = _candidates(topology, x, pairs, reach, capacity)
-    edges, counts, more = _thinned(topology, x, edges, counts, reach, capacity)
     nodes = _nodes_of(topology, edges)
     gap, _ = _apart(x[nodes])
     apart = norm(gap)
@@ -214,7 +207,7 @@ def closest(
     least = apart + jnp.minimum(jnp.min(speed, axis=(1, 2)), 0.0) / jnp.maximum(apart, TINY)
     close = counts & (apart < reach) & (least < within)
     (chosen,) = jnp.nonzero(close, size=capacity, fill_value=0)
-    return edges[chosen], jnp.where(overflow | more, capacity + 1, jnp.sum(close))
+    return edges[chosen], jnp.where(overflow, capacity + 1, jnp.sum(close))
 
 
 @pytree
