@@ -10,7 +10,7 @@ from derjax.core.status import Status
 from derjax.solve.contributions import Elements
 from derjax.solve.dense import factor_or_with
 from derjax.solve.local import Autodiff
-from derjax.solve.newton import NewtonSettings, equilibrium
+from derjax.solve.newton import NewtonInfo, NewtonSettings, equilibrium
 from derjax.solve.potential import assemble
 
 PAIR = Indices(np.array([[0, 1]]))
@@ -71,6 +71,32 @@ def test_rounding_of_a_large_potential_stops_no_step():
     q, info = jax.vmap(lambda start: equilibrium(potential, start, settings, None))(starts)
     np.testing.assert_array_equal(info.status, Status.OK)
     np.testing.assert_allclose(q, 0.0, atol=1e-11)
+
+
+def test_a_solution_of_which_no_derivative_is_taken_may_be_off_by_what_is_negligible():
+    """And no more; one of which a derivative is taken is exact, as the derivative is."""
+
+    def solved(negligible: float, tilt: jax.Array | float = 0.0) -> tuple[jax.Array, NewtonInfo]:
+        potential = assemble([Elements(PAIR, Autodiff(double_well), jnp.array([[tilt, 1.0]]))])
+        settings = NewtonSettings(jnp.asarray(1e-12), jnp.ones(2), negligible=negligible)
+        return equilibrium(potential, jnp.array([1.2, 0.9]), settings, None)
+
+    exact, how = solved(0.0)
+    slope = jax.jacfwd(lambda tilt: solved(0.0, tilt)[0])(0.0)
+    for negligible in (1e-4, 1e-6, 1e-8):
+        rough, quickly = solved(negligible)
+        assert quickly.status == Status.OK
+        assert how.residual < 1e-12 < quickly.residual < 1e-4
+        assert quickly.iterations < how.iterations
+        assert 0.0 < jnp.abs(rough - exact).max() < negligible
+
+        def of_tilt(tilt, negligible=negligible):
+            return solved(negligible, tilt)[0]
+
+        same, along = jax.jvp(of_tilt, (0.0,), (1.0,))
+        np.testing.assert_array_equal(same, exact)
+        np.testing.assert_array_equal(along, slope)
+        np.testing.assert_allclose(jax.jacrev(of_tilt)(0.0), slope, rtol=1e-14)
 
 
 def test_what_another_matrix_holds_needs_nothing_else():

@@ -309,6 +309,30 @@ def test_derivatives_hold_the_sequence_of_steps():
     np.testing.assert_allclose(forward, difference, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.parametrize("rpm", [60.0, 0.3])
+def test_what_is_left_unsolved_is_nothing_beside_the_error_of_a_step(rpm):
+    """As much at the lowest rates, where the fluid's forces are small beside elastic ones."""
+    file = SceneFile.model_validate(
+        {
+            "robot": {"edge_length": 15e-3},
+            "fluid": {"hydrodynamics": "rft"},
+            "motor": {"rpm": rpm},
+            "time": {"step": 3.0 / rpm, "tolerance": 2e-3, "end": 180.0 / rpm},
+        }
+    )
+    scene = build(file)
+    assert scene.control is not None
+    exactly = replace(scene, control=replace(scene.control, negligible=jnp.zeros(())))
+    (states, report), (exact, as_it_was) = (
+        marched(s, scene.start, 3, 20) for s in (scene, exactly)
+    )
+    report.raise_if_failed()
+    assert report.steps == as_it_was.steps
+    assert report.iterations < 0.7 * as_it_was.iterations
+    off = np.abs(states.q - exact.q) / (scene.control.scale * scene.control.tolerance)
+    assert 0.0 < off.max() < 1e-3 * report.steps
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("edge", [10e-3, 2.5e-3])
 def test_default_steps_are_accurate_on_coarse_and_fine_meshes(edge):

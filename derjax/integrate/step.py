@@ -340,12 +340,15 @@ def solve(
     free = None
     if topology.fixed_dofs:
         free = tuple(topology.free_dofs.tolist())
+    settings = scene.newton
+    if scene.control is not None:
+        settings = replace(settings, negligible=scene.control.negligible_move)
     if scene.layout is None:
         _check_no_mobility(mobilities)
-        q, info = equilibrium(potential, guess, scene.newton, free)
+        q, info = equilibrium(potential, guess, settings, free)
     else:
         drag = _only_mobility(scene.layout, mobilities)
-        q, info = _in_blocks(scene, scene.layout, potential, drag, guess)
+        q, info = _in_blocks(scene.rod, scene.layout, settings, potential, drag, guess)
     if potential.guards:
         fault = potential.status(lax.stop_gradient(q))
         status = jnp.where(info.status == Status.OK, fault, info.status)
@@ -388,19 +391,32 @@ def _only_mobility(layout: Layout, mobilities: list[Mobility]) -> Mobility:
 
 
 def _in_blocks(
-    scene: Scene, layout: Layout, potential: Potential, drag: Mobility, guess: Dofs
+    rod: Rod,
+    layout: Layout,
+    settings: NewtonSettings,
+    potential: Potential,
+    drag: Mobility,
+    guess: Dofs,
 ) -> tuple[Dofs, NewtonInfo]:
     """The end of a stage of a large robot."""
-    topology = scene.rod.topology
+    topology = rod.topology
     if layout.topology != topology:
         raise ValueError("scene.layout is that of another robot: it must have scene.rod.topology")
     free = np.ones(topology.n_dofs)
     free[list(topology.fixed_dofs)] = 0.0
-    scale = lax.stop_gradient(scene.newton.force_scale)
+    scale = lax.stop_gradient(settings.force_scale)
     saddle = SaddlePointSystem(potential, drag, layout, guess, jnp.asarray(free), scale)
-    dry = jnp.broadcast_to(jnp.asarray(scene.newton.size), guess.shape)
-    size = saddle.join(dry, jnp.zeros(saddle.drag.dofs.array.size))
-    settings = replace(scene.newton, force_scale=saddle.scales, size=size)
+
+    def and_forces(of_moves: Dofs | float, of_forces: float) -> Dofs:
+        wet = jnp.full(saddle.drag.dofs.array.size, of_forces)
+        return saddle.join(jnp.broadcast_to(jnp.asarray(of_moves), guess.shape), wet)
+
+    settings = replace(
+        settings,
+        force_scale=saddle.scales,
+        size=and_forces(settings.size, 0.0),
+        negligible=and_forces(settings.negligible, jnp.inf),
+    )
     z, info = equilibrium(saddle, saddle.start(guess), settings, None)
     return saddle.split(z)[0], info
 

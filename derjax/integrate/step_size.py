@@ -24,12 +24,20 @@ class StepSizeController:
         scale: (d,) m and rad, what errors are measured in.
         shortest: s; a step that has to be shorter still is a failure.
         order: of the scheme.
+        negligible: by how much of the largest error the equations of a step may be unsolved where
+            no derivative is taken.
     """
 
     tolerance: Float[Array, ""]
     scale: Float[Array, " d"]
     shortest: Float[Array, ""]
     order: int = static()
+    negligible: Float[Array, ""] = 0.0  # pyright: ignore[reportAssignmentType]
+
+    @property
+    def negligible_move(self) -> Float[Array, " d"]:
+        """m and rad, that part of the largest error."""
+        return self.negligible * self.tolerance * self.scale
 
     def excess(self, error: Float[Array, " d"]) -> Array:
         """The error of a step over what it may be."""

@@ -29,6 +29,9 @@ _SEARCHING = -1
 CLOSE = 1e5
 """Tolerances; with less than that left the residual alone tells whether a step is good."""
 
+ROUGH = 1e-4
+"""The largest scaled residual of a solution that need not be exact."""
+
 SIMILAR = 1e-10
 """Of a potential: a smaller part of it may be rounding."""
 
@@ -42,6 +45,8 @@ class NewtonSettings:
         force_scale: (d,) N and N m, what the residual is measured in; or one number for all.
         size: (d,) m and rad, of numbers that are rounded, if larger than the unknowns themselves:
             angles are made of others, of about half a turn, that may add up to nothing.
+        negligible: (d,) m and rad, by how much a solution may be off of which no derivative is
+            taken, if its residual is small as well; or one number for all.
         max_iterations: Newton steps.
         max_halvings: of a Newton step, in the line search.
     """
@@ -49,6 +54,7 @@ class NewtonSettings:
     tolerance: Float[Array, ""] = 1e-9  # pyright: ignore[reportAssignmentType]
     force_scale: Dofs = 1.0  # pyright: ignore[reportAssignmentType]
     size: Dofs | float = 0.0
+    negligible: Dofs | float = 0.0
     max_iterations: int = static(default=40)
     max_halvings: int = static(default=20)
 
@@ -116,6 +122,12 @@ def _spread(settings: NewtonSettings, q: Dofs) -> NewtonSettings:
     return replace(settings, force_scale=jnp.broadcast_to(settings.force_scale, q.shape))
 
 
+def _missing(direction: Dofs, rate: Array) -> Dofs:
+    """How far it still is to the solution after a step in that direction, of iterations that lower
+    the residual at some rate."""
+    return jnp.where(rate < 0.5, jnp.abs(direction) * rate / (1.0 - rate), jnp.inf)
+
+
 def _insert(q: Dofs, values: Array | float, free: tuple[int, ...]) -> Dofs:
     """`q` with `values` at the free degrees of freedom."""
     return q.at[np.array(free)].set(values, unique_indices=True)
@@ -155,7 +167,7 @@ def equilibrium(
     Args:
         potential: `Equations`; a potential is made a minimum where it is symmetric.
         guess: (d,) start. Degrees of freedom that are not free keep its values.
-        settings: tolerances.
+        settings: tolerances. Where derivatives are taken, nothing is `negligible`.
         free: degrees of freedom to solve for; None for all.
 
     Returns:
@@ -166,6 +178,7 @@ def equilibrium(
     symmetric = potential.symmetric
     chosen = slice(None) if free is None else np.array(free)
     shortest = 0.5**settings.max_halvings
+    negligible = jnp.broadcast_to(settings.negligible, guess.shape)[chosen]
 
     def scaled(force: Dofs, unit: Dofs) -> Array:
         return jnp.max((jnp.abs(force) / unit)[chosen])
@@ -231,14 +244,16 @@ def equilibrium(
             accepted |= (slope < 0) & (value <= now.point.value + 1e-4 * length * slope)
         finite = jnp.isfinite(residual)
         accepted &= finite
-        solved = accepted & (residual <= settings.tolerance)
-        count = now.iterations + 1
+        count, first, rate = now.iterations + 1, now.iterations < 0, residual / before
+        # The first evaluation, at the guess, is no step, and tells nothing of what is missing.
+        left = jnp.where(first, jnp.inf, _missing(length * direction, rate))[chosen]
+        enough = (length == 1.0) & (residual <= ROUGH) & jnp.all(left <= negligible)
+        solved = accepted & (enough | (residual <= settings.tolerance))
 
         # The steps that are left if each lowers the residual by as much as this one did. What
-        # the first evaluation, at the guess, has before it says nothing: it needs no new matrix.
-        left = jnp.log(settings.tolerance / residual) / jnp.log(residual / before)
-        lasting = (length == 1.0) & (residual < before) & (left <= potential.max_chord_steps)
-        first = now.iterations < 0
+        # the first evaluation has before it says nothing: it needs no new matrix.
+        to_come = jnp.log(settings.tolerance / residual) / jnp.log(rate)
+        lasting = (length == 1.0) & (residual < before) & (to_come <= potential.max_chord_steps)
         needs_refactor = ~solved & jnp.where(accepted, ~first & ~lasting, ~now.is_current)
         # Near the solution rounding may leave no step that lowers the residual any further.
         stalled = before <= 100.0 * settings.tolerance
@@ -287,7 +302,7 @@ def equilibrium(
 @partial(equilibrium.defjvp, symbolic_zeros=True)
 def _equilibrium_jvp(free, primals, tangents):
     potential, guess, settings = primals
-    settings = _spread(settings, guess)
+    settings = replace(_spread(settings, guess), negligible=0.0)
     d_potential, d_guess, _ = tangents
     q, info = equilibrium(potential, guess, settings, free)
     # What a rollout keeps for reverse mode, so that Newton's iterations need not be replayed.

@@ -108,4 +108,5 @@ class TimeTable(Ingredient):
             scale=jnp.where(position, contour, turn),
             shortest=jnp.asarray(SHORTEST * setting.file.step),
             order=1 if self.scheme == "euler" else 2,
+            negligible=jnp.asarray(setting.file.solver.negligible),
         )
