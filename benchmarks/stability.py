@@ -51,7 +51,7 @@ from derjax.integrate.frames import SEGMENTS, TRIES, _attempt, _going, _Run, new
 from derjax.io.files import atomic_path
 from derjax.runs.progress import Progress, interruptible
 from derjax.scenes.build import build_unchecked
-from derjax.scenes.ingredients.time import TOLERANCES, TimeTable
+from derjax.scenes.ingredients.time import TOLERANCES
 from derjax.scenes.messages import check
 from derjax.scenes.motortable import RateTable
 from derjax.scenes.shape import touching_pairs
@@ -334,15 +334,15 @@ def _tries(scene: Scene, now: _Run, most: int) -> _Run:
     return lax.while_loop(wanted, another, (jnp.zeros((), jnp.int32), now))[1]
 
 
-def run(scene: Scene, state: State, times: TimeTable, limit: float) -> Run:
+def run(scene: Scene, state: State, file: SceneFile, limit: float) -> Run:
     """Frames up to the end, to the first step that fails, or until the time is up."""
-    adapts, per_frame = scene.control is not None, times.steps_per_frame
-    whole = np.float64(per_frame * times.step) if adapts else np.int32(per_frame)
+    adapts, per_frame = scene.control is not None, file.steps_per_frame
+    whole = np.float64(per_frame * file.step) if adapts else np.int32(per_frame)
     few = 64 if scene.rod.topology.n_nodes < 100 else 1
     now = jax.tree.map(np.asarray, _Run(state, new_stats(), whole))
     _tries(scene, now, 0)  # compiles
     began = time.process_time()
-    for _ in range(times.n_frames):
+    for _ in range(file.n_frames):
         now, tries = replace(now, left=whole), 0
         while now.left > 0 and now.report.ok:
             if adapts and tries >= MOST_TRIES:
@@ -391,7 +391,7 @@ def scene_of(value: Value, times: dict[str, Any]) -> tuple[SceneFile, Scene, Sta
 def simulate(value: Value, times: dict[str, Any], limit: float = LIMIT) -> tuple[Scene, Run]:
     """A run of a value with some [time] table."""
     file, scene, state = scene_of(value, times)
-    return scene, run(scene, state, file.time, limit)
+    return scene, run(scene, state, file, limit)
 
 
 def distance(scene: Scene, first: State, second: State) -> float:
