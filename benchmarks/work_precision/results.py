@@ -145,7 +145,7 @@ def across_meshes(table: pd.DataFrame) -> pd.DataFrame:
             row: dict[str, Any] = {"drag": str(drag).upper(), "setting": f"{scheme}, {how}"}
             for _, run in part.iterrows():
                 mesh = f"{1e3 * run.mesh:g} mm"
-                row[f"{mesh}: error, %"] = 100 * max(run["error v_x"], run["error head rate"])
+                row[f"{mesh}: error, %"] = 100 * _worst(run)
                 row[f"{mesh}: s"] = run.cost
             rows.append(row)
     return pd.DataFrame(rows)
@@ -188,14 +188,10 @@ def chosen(table: pd.DataFrame, before: pd.DataFrame | None) -> pd.DataFrame:
             how = "" if np.isnan(run.tolerance) else f"tolerance {run.tolerance:g}"
             shown = how or f"steps of {1e3 * run.step:.3g} ms"
             shown += f" ({run.message})" if run.message else ""
-            then = (
-                {}
-                if earlier is None or run["name"] not in earlier.index
-                else {
-                    "before: worst error, %": 100 * _worst(earlier.loc[run["name"]]),
-                    "before: s": earlier.cost[run["name"]],
-                }
-            )
+            then = {}
+            if earlier is not None and run["name"] in earlier.index:
+                old = earlier.loc[run["name"]]
+                then = {"before: worst error, %": 100 * _worst(old), "before: s": old.cost}
             rows.append(
                 {
                     "robot": case,
